@@ -11,17 +11,21 @@ from dataclasses import replace
 
 import numpy as np
 import scipy
+from scipy.sparse.linalg import LinearOperator, gcrotmk
 
+from ..errors import MethodError
 from ..grid import FloatArray
 from .constraints import Extrusion
 from .energy import Penalty, components, kept_along_lines, share_of
 from .region import Basis, Plot
 from .tuned import CUBIC, POLISHED
 
-_LOOSE, _ITERATIONS, _REFINEMENTS = 1e-3, 5000, 40
-"""Tolerance and iterations of one solution, and number of refinements: the matrix is stored in single precision."""
-_ENOUGH = 1e-15
+_LOOSE, _ITERATIONS, _CYCLES = 1e-3, 5000, 3
+"""Tolerance and iterations of a solution with the matrix in single precision, and cycles of 20 solutions, at most."""
+_ENOUGH, _SOLVED = 1e-15, 1e-9
+"""Relative residuals at which a solution is exact enough, and at which it is one at all."""
 _STEPS = 2
+_SINGULAR = "the derivative of the repaired grid cannot be computed, as its energy is hardly curved; take --repair off"
 
 
 def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> RepairDerivative | None:
@@ -59,7 +63,7 @@ class _AtMinimum:
         self._energy = energy.softened(POLISHED) if polish else energy
         self._region = replace(plot.region, energy=self._energy)
         self._penalty = Penalty(0.0, self.share, CUBIC, 1.0, 1.0)
-        self._none, self._regular = np.zeros(len(energy.nodes)), True
+        self._none = np.zeros(len(energy.nodes))
         self._place()
 
     def _place(self) -> None:
@@ -72,7 +76,7 @@ class _AtMinimum:
             system.fill(replace(region, slides=()), x, self._start, self._penalty)
         for slide in region.slides:
             at, (back, change) = slide.nodes, slide.slopes(x[slide.nodes])
-            along = np.einsum("ni,ni->n", slide.normals(x[at]), system.gradient[region.number[at]])
+            along = np.einsum("ni,ni->n", slide.normals(x[at]), system.gradient[region.unknowns.number[at]])
             onto[at], turning[at], self._slides[at] = back, along[:, None, None] * change, 1.0
         self._free, self._spread = region.spreading(frame), region.spreading(onto @ frame)
         self._turning = scipy.sparse.bsr_array((turning, np.arange(n), np.arange(n + 1)))
@@ -114,8 +118,9 @@ class _AtMinimum:
         before = self._x
         for _ in range(_STEPS):
             self._plot.system.fill(self._region, self._x, self._start, self._penalty)
-            self._x = self._x + _times(self._spread, self._solved(-self._plot.system.gradient))
-            if not self._regular:
+            try:
+                self._x = self._x + _times(self._spread, self._solved(-self._plot.system.gradient))
+            except MethodError:
                 return float("inf")
             for slide in self._region.slides:
                 self._x[slide.nodes] = slide.back(self._x[slide.nodes])
@@ -126,36 +131,34 @@ class _AtMinimum:
     def _solved(self, right: FloatArray, transposed: bool = False) -> FloatArray:
         """Solution (n_unknowns, d) of the linear system with the Hessian and the ``right``-hand side.
 
-        Curved surfaces make the matrix slightly different from that of Newton's method, and from its transpose.
+        Newton's method, with which steps are found, has another matrix where nodes slide on curved surfaces. A
+        :class:`MethodError` tells that the Hessian is not positive definite, or too nearly singular.
         """
-        system, found, rest = self._plot.system, np.zeros_like(right), right
-        system.fill(self._region, self._x, self._start, self._penalty)
-        size = before = np.linalg.norm(right)
-        for _ in range(_REFINEMENTS):
-            if before <= _ENOUGH * size:
-                break
-            system.gradient[...] = -rest
-            step, convex = system.direction(_LOOSE, _ITERATIONS)
-            # Not a minimum, or a nearly singular one, for which further refinement would take minutes.
-            if not convex or system.iterations == _ITERATIONS:
-                self._regular = False
-                break
-            rest = right - self._image(found + step, transposed)
-            after = np.linalg.norm(rest)
-            if after >= before:
-                break
-            slow, found, before = after > 0.5 * before, found + step, after
-            if slow:
-                break
-        return found
-
-    def _image(self, unknowns: FloatArray, transposed: bool) -> FloatArray:
-        """Change (n_unknowns, d) of the forces for a change of the unknowns, or its transpose."""
+        system, size = self._plot.system, right.size
         first, last, turning = self._spread, self._free.T, self._turning
         if transposed:
             first, last, turning = self._free, self._spread.T, self._turning.T
-        moved = _times(first, unknowns)
-        return _times(last, self._hessian(moved) - _times(turning, moved))
+        # Nothing but round-off is in the directions in which unknowns must not move.
+        right = np.einsum("nij,nj->ni", self._region.directions(self._x)[1], right)
+        system.fill(self._region, self._x, self._start, self._penalty)
+
+        def image(unknowns: FloatArray) -> FloatArray:
+            moved = _times(first, unknowns.reshape(right.shape))
+            return _times(last, self._hessian(moved) - _times(turning, moved)).ravel()
+
+        def step(rest: FloatArray) -> FloatArray:
+            system.gradient[...] = -rest.reshape(right.shape)
+            found, convex = system.direction(_LOOSE, _ITERATIONS)
+            # Not a minimum, or a nearly singular one, for which further steps would take minutes.
+            if not convex or system.iterations == _ITERATIONS:
+                raise MethodError(_SINGULAR)
+            return found.ravel()
+
+        matrix, inverse = (LinearOperator((size, size), each, dtype=float) for each in (image, step))
+        found, _ = gcrotmk(matrix, right.ravel(), rtol=_ENOUGH, maxiter=_CYCLES, M=inverse)
+        if not np.linalg.norm(right.ravel() - matrix @ found) <= _SOLVED * np.linalg.norm(right):
+            raise MethodError(_SINGULAR)
+        return np.asarray(found.reshape(right.shape))
 
     def _hessian(self, change: FloatArray) -> FloatArray:
         """Change (n, d) of the gradient for a change (n, d) of the coordinates."""

@@ -57,12 +57,9 @@ def example():
     del sys.modules[spec.name]
 
 
-def shape_of(example, around=61, along=31):
-    return example.Shape(example.prepared(example.section_grid(around, along)), example.Flow(around, along))
-
-
 def test_gradients(example):
-    shape, random, h = shape_of(example), np.random.default_rng(0), 1e-4
+    shape = example.Shape(example.prepared(example.section_grid(61, 31)), example.Flow(61, 31))
+    random, h = np.random.default_rng(0), 1e-4
     design, change = 0.3 * random.standard_normal(11), random.standard_normal(11)
     found, one, two = (dict(shape.at(design + s * change)) for s in (0.0, h, -h))
     for name, (_, gradient) in found.items():

@@ -259,11 +259,6 @@ def run(scenario):
     return problem
 
 
-def grid_at(mesh, points):
-    step = mesh.deform(np.reshape(points, (-1, 3)) - mesh.points, repair="off")
-    return np.concatenate([block.ravel() for block in step.grid.blocks])
-
-
 @pytest.mark.parametrize("geometry", [False, True])
 def test_an_aerodynamic_scenario(mesh, geometry):
     builder = MeshDeformBuilder(lambda comm: mesh, solver=AeroBuilder(mesh.points.size))
@@ -278,5 +273,7 @@ def test_an_aerodynamic_scenario(mesh, geometry):
     deformer = next(part for part in scenario.system_iter(typ=MeshDeformComp))
     given = f"geometry.{X.Geometry.COORDINATES_OUTPUT}" if geometry else f"mesh.{X.Mesh.COORDINATES}"
     assert sources[f"{deformer.pathname}.{X.COORDINATES}"] == f"scenario.{given}"
-    wanted = grid_at(mesh, bent(mesh.points) if geometry else mesh.points)
+    points = bent(mesh.points) if geometry else mesh.points
+    step = mesh.deform(np.reshape(points, (-1, 3)) - mesh.points, repair="off")
+    wanted = np.concatenate([block.ravel() for block in step.grid.blocks])
     np.testing.assert_allclose(problem.get_val("scenario.x_aero_volume"), wanted, atol=1e-12)

@@ -282,18 +282,10 @@ def test_the_verdict_is_about_the_precision_that_is_written(bench, call):
 BY_TABLE = ("deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz", "--report", "out.json")
 
 
-def table_rows(bench) -> np.ndarray:
-    return np.loadtxt(bench / "table.csv", delimiter=",")
-
-
-def write_table(bench, table) -> None:
-    np.savetxt(bench / "table.csv", table, "%.17g", delimiter=",")
-
-
 def test_tolerance_and_match_reach_the_table(bench, call):
-    table = table_rows(bench)
+    table = np.loadtxt(bench / "table.csv", delimiter=",")
     table[:, 2] += 0.02
-    write_table(bench, table)
+    np.savetxt(bench / "table.csv", table, "%.17g", delimiter=",")
     assert call(*BY_TABLE, "--match", "exact").code == 2
     assert call(*BY_TABLE, "--tolerance", "0.03").code == 0
     match = json.loads((bench / "out.json").read_text())["boundary"]["matches"][0]
