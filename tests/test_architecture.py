@@ -8,10 +8,7 @@ ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
 PACKAGES = ("meshdeform", "cli", "sample_cases", "formats", "meshdeform_core")
 SHARED = r"(\w+\.)*(Lock|RLock|local|ContextVar|lru_cache|cache)\b"
-STATE = re.compile(
-    rf"^(@|\w+(: .+)? = ){SHARED}|^_[a-z][a-z_]*(: .+)? = [\[{{]|^ +global ",
-    re.MULTILINE,
-)
+STATE = re.compile(rf"^(@|\w+(: .+)? = ){SHARED}|^_[a-z][a-z_]*(: .+)? = [\[{{]|^ +global ", re.MULTILINE)
 """Locks, context variables, caches, private lists and objects that change, at the top of a module; names that functions
 set there."""
 

@@ -285,7 +285,7 @@ def _outward_normals(grid: Grid, topology: Topology, faces: Sequence[Face]) -> l
     for face in faces:
         found.append(None)
         if face.plane is not None and face.outside:
-            outward = outward_areas(grid, topology, face.quads[:1], flat)[1][0]  # all look to the same side
+            outward = outward_areas(grid, topology, face.quads, flat)[1].sum(axis=0)  # some may be folded or flat
             normal = face.plane.normal * (1.0 if outward @ face.plane.normal >= 0 else -1.0)
             # The faces of one plane differ in their normals by round-off only.
             key = tuple(round(part, 9) for part in normal.tolist())

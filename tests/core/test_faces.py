@@ -101,6 +101,12 @@ def test_a_ring_has_wall_far_field_and_end_planes():
         "block1.imin": Role.INTERFACE, "block1.imax": Role.INTERFACE, "block1.jmin": Role.WALL,
         "block1.jmax": Role.FAR, "block1.kmin": Role.END, "block1.kmax": Role.END,
     }  # fmt: skip
+    # Of half of it, the first quads of two planes are folded.
+    half = polar(n_radial=16).block(0)[:13]
+    half[[0, -1], 0, 1, 2] = 1.5
+    wall = Patch("wall", (whole_face(half.shape[:3], 0, Side.JMIN),), "BCWall")
+    roles = roles_of(Grid.from_blocks([half], patches=(wall,)))
+    assert roles["block1.imin"] == roles["block1.imax"] == Role.SYMMETRY
 
 
 def test_a_cube_says_nothing():

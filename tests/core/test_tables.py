@@ -38,10 +38,7 @@ def data(points: np.ndarray, displacement: np.ndarray | None = None) -> SurfaceD
 def whole_table(table: SurfaceData, **matching) -> tuple[str, ...]:
     """Warnings when the table says alone what moves, as -d does."""
     motion = Motion((Follow(table, Matching(partial=True, **matching)),), {})
-    entries = (
-        BoundarySpec("table.csv", ("*",), Kind.MOVING, None, motion),
-        BoundarySpec("rest", ("*",), Kind.SLIP),
-    )
+    entries = (BoundarySpec("table.csv", ("*",), Kind.MOVING, None, motion), BoundarySpec("rest", ("*",), Kind.SLIP))
     return set_up(FRAME, Case(entries)).boundary.notes
 
 

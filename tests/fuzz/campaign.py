@@ -25,11 +25,7 @@ LIMIT = 100.0
 """Seconds that a file of a few kB may take, on a machine that does much else."""
 _SLICE = 1000
 RIGHT = ("ok", "refused")
-KINDS: dict[str, Callable[[Bench, Random], str]] = {
-    **grid_files.KINDS,
-    **tables.KINDS,
-    **case_files.KINDS,
-}
+KINDS: dict[str, Callable[[Bench, Random], str]] = {**grid_files.KINDS, **tables.KINDS, **case_files.KINDS}
 
 Sample = tuple[int, str, str]
 """Number, class, and result: ``ok`` (accepted, right), ``refused``, or what is wrong."""
