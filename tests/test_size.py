@@ -23,7 +23,7 @@ BUDGETS = {
     "formats/series": 478,
     "formats/vtk": 1479,
     "formats": 1859,
-    "meshdeform_core/boundary": 2968,
+    "meshdeform_core/boundary": 2967,
     "meshdeform_core/grid": 2583,
     "meshdeform_core/methods": 3803,
     "meshdeform_core/numerics": 8078,

@@ -17,7 +17,7 @@ from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of, snapped
 from ..grid.topology import RELATIVE_TOLERANCE, Topology
 from ..grid.windows import end_planes, side_numbers
 from ..numerics.arrays import lengths
-from ..numerics.geometry.coincidence import close_pairs
+from ..numerics.geometry.coincidence import close_pairs, equal_rows
 from ..parallel import Nodes
 from ..wording import counted, vector
 
@@ -242,15 +242,14 @@ def _curved_surface(
     name: str, grid: Grid, topology: Topology, quads: IntArray, free: BoolArray, moving: BoolArray
 ) -> CurvedSurface:
     corners = topology.quads.corners[quads]
+    # The two sides of a plate are one surface: their normals are opposite.
+    corners = corners[equal_rows(np.sort(corners, axis=1))[0] < np.arange(len(corners))]
     nodes, local = np.unique(corners, return_inverse=True)
     local = local.reshape(corners.shape)
     # Edges, in 2-D end nodes, of one quad only.
-    edges = (
-        np.stack([local, np.roll(local, 1, axis=1)], axis=-1).reshape(-1, 2)
-        if grid.dimension == 3
-        else local.reshape(-1, 1)
-    )
-    edges, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    ends = [local, np.roll(local, 1, axis=1)] if grid.dimension == 3 else [local]
+    edges = np.sort(np.stack(ends, axis=-1).reshape(-1, len(ends)), axis=1)
+    edges, count = np.unique(edges, axis=0, return_counts=True)
     edges = edges[(count == 1) & moving[nodes[edges]].all(axis=1)]
     rim = np.zeros(len(nodes), dtype=bool)
     rim[edges] = True

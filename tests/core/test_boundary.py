@@ -144,6 +144,12 @@ def test_plates_of_the_case_are_opened():
     problem = set_up(FRAME, Case((BoundarySpec("plate", ("block1.imax",), Kind.MOVING, None, MOVE),),
                                  plates=("block1.imax[1:3,*]",)))  # fmt: skip
     assert problem.boundary.count(Kind.MOVING) == 3 * 4
+    # Both sides of a curved plate that slides are one surface, without creases.
+    specs = specs_of(("plate", ("block1.imax", "block4.imin"), Kind.SLIP, None), ("end", "*.kmin", Kind.MOVING, MOVE))
+    bent = FRAME.moved(FRAME.points + [0.1, 0.0, 0.0] * np.sin(FRAME.points[:, [1]]))
+    (surface,) = set_up(bent, Case(tuple(specs), plates=("block1.imax",))).boundary.slip.curved
+    assert len(surface.triangles) == 2 * 4 * 3
+    assert not surface.creased.any()
     for pattern, message in (("block1.imin", "shared by two blocks"), ("blok1.imax", "did you mean")):
         with pytest.raises(CaseError, match=message):
             with_plates(FRAME, topology, [pattern])

@@ -87,10 +87,7 @@ def test_largest_rotation_is_relative():
 
 
 def test_periodic_problems_warn_too():
-    specs = [
-        *body_specs(turning(70)),
-        BoundarySpec("sides", ("block[123].imin", "block[678].imax"), Kind.PERIODIC),
-    ]
+    specs = [*body_specs(turning(70)), BoundarySpec("sides", ("block[123].imin", "block[678].imax"), Kind.PERIODIC)]
     problem = problem_of(frame(), specs)
     assert len(make_method(Options("tfi")).prepare(problem).warnings_for(told(problem), told(problem))) == 1
 

@@ -46,8 +46,7 @@ IN_SPACE = ("none", "quaternion", "division", "blend", "lie")
 
 
 @pytest.mark.parametrize(
-    ("name", "grid"),
-    [*((name, frame_2d(4)) for name in VARIANTS), *((name, frame(3, 2)) for name in IN_SPACE)],
+    ("name", "grid"), [*((name, frame_2d(4)) for name in VARIANTS), *((name, frame(3, 2)) for name in IN_SPACE)]
 )
 def test_slow_twin(name, grid):
     bend = body_specs(turning(25))[: 2 if grid.dimension == 3 else 1]
