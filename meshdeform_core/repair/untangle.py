@@ -164,8 +164,8 @@ class Untangler:
         return last if untangled else None
 
     def minimise(self, share: float, most: int, eps: float = 0.0) -> bool:
-        """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached. With the
-        regularisation ``eps``, which falls to 0, they raise small determinants by more than half."""
+        """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached. The
+        regularisation ``eps`` falls, to 0 once it raises the smallest determinant by no more than half."""
         penalty, whole = Penalty(eps, share, CUBIC, 1.0), self.region.energy.work + _WORTHWHILE * self.system.work
         now, earlier = self.state(self.x, penalty), deque[State](maxlen=_PATIENCE + 1)
         length = expected = np.inf
