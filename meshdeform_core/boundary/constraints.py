@@ -17,7 +17,7 @@ from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of, snapped
 from ..grid.topology import RELATIVE_TOLERANCE, Topology
 from ..grid.windows import end_planes, side_numbers
 from ..numerics.arrays import lengths
-from ..numerics.geometry.coincidence import close_pairs, equal_rows
+from ..numerics.geometry.coincidence import close_pairs, one_side
 from ..parallel import Nodes
 from ..wording import counted, vector
 
@@ -242,8 +242,7 @@ def _curved_surface(
     name: str, grid: Grid, topology: Topology, quads: IntArray, free: BoolArray, moving: BoolArray
 ) -> CurvedSurface:
     corners = topology.quads.corners[quads]
-    # The two sides of a plate are one surface: their normals are opposite.
-    corners = corners[equal_rows(np.sort(corners, axis=1))[0] < np.arange(len(corners))]
+    corners = corners[one_side(corners)]
     nodes, local = np.unique(corners, return_inverse=True)
     local = local.reshape(corners.shape)
     # Edges, in 2-D end nodes, of one quad only.

@@ -195,12 +195,7 @@ class SchwarzPreconditioner:
     """
 
     def __init__(
-        self,
-        kind: int,
-        points: FloatArray,
-        polynomial: FloatArray,
-        product: ExactProduct,
-        widening: int = 1,
+        self, kind: int, points: FloatArray, polynomial: FloatArray, product: ExactProduct, widening: int = 1
     ) -> None:
         self._side = np.linalg.qr(polynomial)[0]
         self._own = bisect(points, -(-len(points) // (OWN * widening)))

@@ -51,11 +51,7 @@ WIDTHS = {"none": 3, "quaternion": 7, "division": 7, "blend": 12, "lie": 6}
 
 
 def finish(
-    kind: str,
-    sums: Columns,
-    points: FloatArray,
-    steps: int = 1,
-    transition: Transition = NO_TRANSITION,
+    kind: str, sums: Columns, points: FloatArray, steps: int = 1, transition: Transition = NO_TRANSITION
 ) -> FloatArray:
     """Displacements (n, 3) of points (n, 3) for one of the kinds of :data:`WIDTHS`.
 

@@ -20,6 +20,7 @@ from meshdeform_core.grid.planes import plane_normal
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import IDW, Options
+from meshdeform_core.numerics.geometry.coincidence import one_side
 from meshdeform_core.repair.constraints import Constraints
 
 FRAME = frame()
@@ -150,6 +151,9 @@ def test_plates_of_the_case_are_opened():
     (surface,) = set_up(bent, Case(tuple(specs), plates=("block1.imax",))).boundary.slip.curved
     assert len(surface.triangles) == 2 * 4 * 3
     assert not surface.creased.any()
+    # Whatever the order of the blocks.
+    for faces in ([[0, 1, 4, 3], [0, 3, 4, 1], [1, 4, 5, 2], [1, 2, 5, 4]], [[0, 1], [1, 0], [2, 1], [1, 2]]):
+        assert one_side(np.array(faces)).tolist() == [True, False, False, True]
     for pattern, message in (("block1.imin", "shared by two blocks"), ("blok1.imax", "did you mean")):
         with pytest.raises(CaseError, match=message):
             with_plates(FRAME, topology, [pattern])

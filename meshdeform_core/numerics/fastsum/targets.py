@@ -229,12 +229,7 @@ def shape_table(shapes: Shapes) -> IntArray:
 
 
 def make_targets(
-    points: FloatArray,
-    shapes: Shapes,
-    offsets: IntArray,
-    flat: IntArray,
-    order: int,
-    per_point: int = 8,
+    points: FloatArray, shapes: Shapes, offsets: IntArray, flat: IntArray, order: int, per_point: int = 8
 ) -> Targets:
     """Targets ``flat``, ascending, in bricks that hold about ``per_point`` targets per interpolation point, the leaves
     of the trees that :func:`halve` makes, and in regions of about ``REGION`` bricks."""

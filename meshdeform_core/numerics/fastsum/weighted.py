@@ -61,12 +61,7 @@ class FastSums:
     """
 
     def __init__(
-        self,
-        strength: FloatArray,
-        groups: Sequence[IntArray],
-        trees: Sequence[SourceTree],
-        targets: Targets,
-        room: int,
+        self, strength: FloatArray, groups: Sequence[IntArray], trees: Sequence[SourceTree], targets: Targets, room: int
     ) -> None:
         self.strength, self.targets = strength / strength.max(), targets
         self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]

@@ -238,3 +238,24 @@ def connected_rows(rows: IntArray, count: int) -> IntArray:
     pairs = np.stack([np.repeat(np.arange(n), rows.shape[1]), rows.ravel()], axis=1, dtype=np.int64)
     pairs[:, 1] += n
     return np.asarray(np.unique(connected_components(n + count, pairs)[:n], return_inverse=True)[1])
+
+
+def one_side(quads: IntArray) -> BoolArray:
+    """Which of the face quads (n, 4), or cell edges (n, 2), to keep if one of two between the same nodes is enough, as
+    the sides of a plate. All are wound as seen from outside; those of a plate that are kept look to the same side."""
+    (n, corners), twin = quads.shape, equal_rows(np.sort(quads, axis=1))[0]
+    if (twin < 0).all():
+        return np.ones(n, dtype=bool)
+    # Their edges, in a plane their ends, and in which of two senses each is passed.
+    ends = quads[:, :, None] if corners == 2 else np.stack([quads, np.roll(quads, -1, axis=1)], axis=2)
+    sense = np.tile([True, False], n) if corners == 2 else (ends[:, :, 0] < ends[:, :, 1]).ravel()
+    quad, ends = np.repeat(np.arange(n), corners), np.sort(ends, axis=2).reshape(n * corners, -1)
+    edge = np.unique(ends, axis=0, return_inverse=True)[1].ravel()
+    # Neighbours on one side pass their edge in opposite senses; four quads of a plate have one in common.
+    order, pairs = np.argsort(edge, kind="stable"), []
+    for apart in (1, 2, 3):
+        one, two = order[:-apart], order[apart:]
+        joined = (edge[one] == edge[two]) & (sense[one] != sense[two]) & (twin[quad[one]] != quad[two])
+        pairs.append(np.stack([quad[one], quad[two]], axis=1)[joined])
+    side = connected_components(n, np.concatenate(pairs))
+    return (twin < 0) | (side < side[twin]) | ((side == side[twin]) & (np.arange(n) < twin))

@@ -27,10 +27,7 @@ _CHUNK = 4096
 
 
 def local_spline(
-    points: FloatArray,
-    values: FloatArray,
-    targets: FloatArray,
-    normals: tuple[FloatArray, FloatArray] | None = None,
+    points: FloatArray, values: FloatArray, targets: FloatArray, normals: tuple[FloatArray, FloatArray] | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Values (k, c) at ``targets`` (k, 3) from those (n, c) at distinct ``points`` (n, 3), and the distance (k,) to the
     nearest point.
