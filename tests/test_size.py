@@ -26,7 +26,7 @@ BUDGETS = {
     "meshdeform_core/boundary": 2966,
     "meshdeform_core/grid": 2583,
     "meshdeform_core/methods": 3803,
-    "meshdeform_core/numerics": 8077,
+    "meshdeform_core/numerics": 8096,
     "meshdeform_core/parallel": 682,
     "meshdeform_core/quality": 1744,
     "meshdeform_core/repair": 2138,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,10 +11,10 @@ import numpy as np
 from ...parallel import for_chunks
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..exact.direct import SINGLE, sum_groups, sum_whole
-from ..jit import fast_kernel
+from ..jit import fast_kernel, kernel
 from .clusters import CHARGES, SourceTree, interpolate, place_points
 from .targets import Targets, spans
-from .walk import Kernel, Lists, list_clusters
+from .walk import Kernel, Lists, extents_of, list_clusters
 
 # Portions into which the clusters of a tree are divided among threads.
 _PORTIONS = 64
@@ -192,6 +193,7 @@ class Plan:
     ) -> None:  # fmt: skip
         self.key, self.kinds, self.acting, self.lasting = key, kinds, acting, lasting or 0
         self._targets, self._trees, self._reaches = targets, [tree for _, tree in trees], reaches
+        self._extents = [extents_of(tree) for tree in self._trees]
         self._allowed, self._mean = _allowance(targets, self._trees, kinds, reaches, accuracy)
         self.risk = np.zeros(len(self._allowed))
         counts = [np.append(0, np.cumsum(acting[group][tree.order])) for group, tree in trees]
@@ -220,8 +222,8 @@ class Plan:
         targets = self._targets
         self.risk[targets.first[first] : targets.first[last]] = 0.0
         found = [
-            list_clusters(first, last, targets, tree, reach, kind, self._allowed, self._mean, self.risk)
-            for tree, reach, kind in zip(self._trees, self._reaches, self.kinds, strict=True)
+            list_clusters(first, last, targets, *of_tree, self._allowed, self._mean, self.risk)
+            for of_tree in zip(self._trees, self._extents, self._reaches, self.kinds, strict=True)
         ]
         for used, (codes, _) in zip(self.used, found, strict=True):
             used[codes[codes & 1 == 0] >> 1] = True
@@ -258,26 +260,41 @@ def _allowance(
     """
     shape, flat = targets.samples.shape, targets.samples.ravel()
     total, moved = np.zeros(flat.size), np.zeros(flat.size)
-    extents = [np.einsum("md,md->m", tree.boxes.half, tree.boxes.half) for tree in trees]
 
     def work(lo: int, hi: int) -> None:
-        points = targets.points[flat[lo:hi]]
-        for tree, size, reach, kind in zip(trees, extents, reaches, kinds, strict=True):
-            sample, cluster = np.arange(hi - lo), np.zeros(hi - lo, dtype=np.int64)
-            while len(sample):
-                arm = points[sample] - tree.boxes.center[cluster]
-                square, extent = np.einsum("nd,nd->n", arm, arm), size[cluster]
-                done = (square > 2.0 * extent) | (tree.child[cluster] < 0)
-                at, c = sample[done], cluster[done]
-                # A leaf that may contain the sample: the weight at its rim is a lower bound.
-                weight = reach[c, 0] * kind.weight(np.sqrt(np.maximum(square[done], 0.25 * extent[done])))
-                total[lo:hi] += np.bincount(at, weight, hi - lo)
-                shift = reach[c, 1] + reach[c, 2] * np.sqrt(square[done])
-                moved[lo:hi] += np.bincount(at, weight * shift, hi - lo)
-                sample = np.repeat(sample[~done], 2)
-                cluster = np.stack([tree.child[cluster[~done]], tree.child[cluster[~done]] + 1], axis=1).ravel()
+        for tree, reach, kind in zip(trees, reaches, kinds, strict=True):
+            boxes, powers = (tree.boxes.center, tree.boxes.half), (kind.a, kind.b, kind.kappa)
+            _add_weights(targets.points, flat[lo:hi], boxes, tree.child, reach, powers, total[lo:hi], moved[lo:hi])
 
     for_chunks(work, flat.size, _SAMPLES)
     sizes = targets.sizes if accuracy.local else np.ones(shape)
     allowed = (total.reshape(shape) * sizes).min(axis=1) * accuracy.tolerance
     return allowed, (moved / total).reshape(shape).max(axis=1)
+
+
+@kernel(
+    "f8[:, ::1], i8[::1], Tuple((f8[:, ::1], f8[:, ::1],)), i8[::1], f8[:, ::1], Tuple((f8, f8, f8,)), f8[::1], f8[::1]"
+)
+def _add_weights(points, samples, boxes, child, reach, powers, total, moved):
+    """Add to ``total`` (n,) the weight of all sources at ``points[samples]``, and to ``moved`` (n,) a bound of the
+    weighted displacement there."""
+    (center, half), (a, b, kappa) = boxes, powers
+    stack = np.empty(128, np.int64)
+    for s in range(len(samples)):
+        stack[0], depth = 0, 1
+        while depth:
+            depth -= 1
+            c = stack[depth]
+            square = extent = 0.0
+            for d in range(3):
+                square += (points[samples[s], d] - center[c, d]) ** 2
+                extent += half[c, d] ** 2
+            if square > 2.0 * extent or child[c] < 0:
+                # A leaf that may contain the sample: the weight at its rim is a lower bound.
+                distance = math.sqrt(max(square, 0.25 * extent))
+                weight = reach[c, 0] * (distance**-a + kappa * distance**-b)
+                total[s] += weight
+                moved[s] += weight * (reach[c, 1] + reach[c, 2] * math.sqrt(square))
+            else:
+                stack[depth], stack[depth + 1] = child[c], child[c] + 1
+                depth += 2

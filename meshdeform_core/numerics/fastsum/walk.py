@@ -37,10 +37,6 @@ class Kernel(NamedTuple):
         """The weight function, in ``single`` precision if there is a loop for it."""
         return cls(float(a), float(b), float(kappa), single and a in (3.0, 4.0) and b == 5.0)
 
-    def weight(self, distance: FloatArray) -> FloatArray:
-        """Weights at some distances."""
-        return np.asarray(distance**-self.a + self.kappa * distance**-self.b)
-
 
 Lists = tuple[np.ndarray, np.ndarray]
 """The clusters that act in some neighbouring regions: int32 codes (n,) of all lists, with entries as above, and the end
@@ -53,6 +49,7 @@ def list_clusters(
     last: int,
     targets: Targets,
     tree: SourceTree,
+    clusters: tuple[FloatArray, IntArray],
     reach: FloatArray,
     function: Kernel,
     allowed: FloatArray,
@@ -62,9 +59,9 @@ def list_clusters(
     """:data:`Lists` of the regions first <= g < last; adds to ``risk`` the sum of the error bounds of all clusters,
     relative to the error ``allowed`` to one of them.
 
-    Of each cluster, ``reach`` (m, 3): strength, largest displacement and rotation of its sources, which bound its
-    effect, strength * (shift + turn * distance + mean displacement of the brick). Of each brick (b,): the error of the
-    sums that one cluster may cause, a bound of the mean displacement, the risk.
+    Of each cluster, its extents and ``reach`` (m, 3): strength, largest displacement and rotation of its sources, which
+    bound its effect, strength * (shift + turn * distance + mean displacement of the brick). Of each brick (b,): the
+    error of the sums that one cluster may cause, a bound of the mean displacement, the risk.
     """
     ends = targets.first[first : last + 1]
     low, high = int(ends[0]), int(ends[-1])
@@ -84,13 +81,11 @@ def list_clusters(
         for one, two in zip(_extents(targets.regions, first, last), _extents(targets.bricks, low, high), strict=True)
     )
     m = len(tree.child)
-    clusters, inner = _extents(tree.boxes, 0, m)
-    inner[np.diff(tree.boxes.proxy) == 0] = 0
     stop, length = np.empty(last - first + 2 * (high - low), dtype=np.int64), 2048 + 4 * m
     while True:
         codes, bounds = np.empty(length, dtype=np.int32), np.empty(len(order))
         used = _list(
-            places[order], counts[order], state[order], limits[order], clusters, inner, tree.child, reach,
+            places[order], counts[order], state[order], limits[order], *clusters, tree.child, reach,
             np.array(function[:3]), codes, stop, bounds, np.empty((3, m), dtype=np.int64),
         )  # fmt: skip
         if used >= 0:
@@ -101,6 +96,13 @@ def list_clusters(
 
 _REGION, _BRICK, _FEW = 0, 1, 2
 """Places: a region, a brick, a brick of few nodes."""
+
+
+def extents_of(tree: SourceTree) -> tuple[FloatArray, IntArray]:
+    """Extents of all clusters, as :func:`_extents`; clusters without interpolation points have 0 per side."""
+    found, inner = _extents(tree.boxes, 0, len(tree.child))
+    inner[np.diff(tree.boxes.proxy) == 0] = 0
+    return found, inner
 
 
 def _extents(boxes: Boxes, first: int, last: int) -> tuple[FloatArray, IntArray]:
