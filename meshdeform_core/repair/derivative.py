@@ -155,7 +155,7 @@ class _AtMinimum:
             return found.ravel()
 
         matrix, inverse = (LinearOperator((size, size), each, dtype=float) for each in (image, step))
-        found, _ = gcrotmk(matrix, right.ravel(), rtol=_ENOUGH, maxiter=_CYCLES, M=inverse)
+        found, _ = gcrotmk(matrix, right.ravel(), rtol=_ENOUGH, atol=0.0, maxiter=_CYCLES, M=inverse)
         if not np.linalg.norm(right.ravel() - matrix @ found) <= _SOLVED * np.linalg.norm(right):
             raise MethodError(_SINGULAR)
         return np.asarray(found.reshape(right.shape))
