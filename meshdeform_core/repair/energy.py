@@ -21,14 +21,7 @@ from ..boundary.constraints import CurvedSurface
 from ..grid import FloatArray, IntArray
 from ..numerics.cell.foldover.elements import combined, growth, plane_slopes, slopes
 from ..numerics.cell.foldover.loops import Unknowns, add_derivatives, energy_of_cells
-from ..numerics.cell.foldover.samples import (
-    Maps,
-    cofactors,
-    inner,
-    maps_at_sample,
-    sample_slopes,
-    turned_cofactors,
-)
+from ..numerics.cell.foldover.samples import Maps, cofactors, inner, maps_at_sample, sample_slopes, turned_cofactors
 from .tuned import ALONG, BETWEEN, FULL, HEALTHY, HELD, NORM, POWER, SLOWLY, SOFT
 
 _TOGETHER = 1 << 15
