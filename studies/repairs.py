@@ -172,7 +172,7 @@ def row(name: str, make: Callable[[], Setup]) -> Row:
         "Newton steps": f"{done.newton_steps}{'' if done.converged else ', unfinished'}" if done else "0",
         "invalid, weak": f"{done.invalid}, {done.weak}" if done else "",
         "moved": f"{done.nodes} by {done.max_movement / found.max_displacement:.2f}" if done else "0",
-        "tfi": _cell(_timed(setup, "off", "tfi")[0]) if name.startswith(("ring", "valve")) else "",
+        "tfi, repaired": _cell(_timed(setup, "auto", "tfi")[0]) if name.startswith(("ring", "valve")) else "",
         "attempts": len(found.attempts),
     }
 
