@@ -104,13 +104,14 @@ class NewtonSystem:
         touch = scipy.sparse.csr_array((np.ones(cell.size, np.int32), (of_cell[used], cell)), shape=(n, len(of_cell)))
         pattern = (touch @ touch.T).tocsr()
         pattern.sort_indices()
-        self.starts, self.columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int32)
+        self.starts, self.columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int32, copy=False)
         ends = [*range(0, n, _ROWS), n]
         self._cells = [
             np.unique(touch.indices[touch.indptr[lo] : touch.indptr[hi]]).astype(np.int64)
             for lo, hi in itertools.pairwise(ends)
         ]
         self._longest = max((self.starts[high] - self.starts[low] for low, high in itertools.pairwise(ends)), default=0)
+        del used, cell, touch, pattern
         self._places = places_of_pairs(of_cell, self.starts, self.columns)
         number = np.arange(len(self.columns), dtype=np.int32)
         self._mirror = scipy.sparse.csr_array((number, self.columns, self.starts), shape=(n, n)).tocsc().data
@@ -124,8 +125,8 @@ class NewtonSystem:
 
     @staticmethod
     def memory(n_unknowns: int, dimension: int) -> int:
-        """Peak memory in bytes, reached while the sparsity pattern is found."""
-        return n_unknowns * (27 * (36 + 24) + 300 if dimension == 3 else 9 * (16 + 24) + 700)
+        """Peak memory in bytes, reached when the matrix is made."""
+        return n_unknowns * (27 * (36 + 24) + 360 if dimension == 3 else 9 * (16 + 24) + 700)
 
     def fill(self, region: Region, x: FloatArray, reference: FloatArray, penalty: Penalty) -> bool:
         """Compute gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..numerics.cell.foldover`.
