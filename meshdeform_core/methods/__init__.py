@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ..boundary.constraints import find_layer
 from ..errors import MethodError, suggestion
-from .base import Account, PreparedMethod, Problem, Progress, Setting
+from .base import Account, PreparedMethod, Problem, Progress
 from .composite import Composite, PreparedLayer
 from .gaps import PreparedInGaps
 from .options import MethodOptions, declared
@@ -23,13 +23,11 @@ __all__ = [
     "RBF",
     "TFI",
     "Account",
-    "Composite",
     "MethodOptions",
     "Options",
     "PreparedMethod",
     "Problem",
     "Progress",
-    "Setting",
     "declared",
     "entry_of",
     "make_method",
@@ -81,13 +79,13 @@ class MethodEntry:
 def _default(options: Options) -> Composite:
     # With the paper's kinds of rotation, or blocks that are never cut, methods are exactly as published.
     published = options.idw.rotation != "lie" or options.tfi.max_cells == 0
-    return Composite(options.idw.bind, options.tfi, None if published else PreparedInGaps)
+    return Composite(options.idw, options.tfi, None if published else PreparedInGaps)
 
 
 def _idw_rbf(options: Options) -> Composite:
     from .scattered.block_rbf import BlockRBF
 
-    return Composite(options.idw.bind, BlockRBF(options.rbf))
+    return Composite(options.idw, BlockRBF(options.rbf))
 
 
 CATALOGUE: dict[str, MethodEntry] = {
@@ -102,19 +100,19 @@ CATALOGUE: dict[str, MethodEntry] = {
         "radial basis functions for every node: smooth, valid at the largest rotations",
         "Cost N_s^3 + N_v x N_s. Does not carry the near-wall grid rigidly with the wall.",
         (RBF,),
-        lambda options: Composite(options.rbf.bind, None),
+        lambda options: Composite(options.rbf, None),
     ),
     "idw-idw": MethodEntry(
         "inverse distance weighting of every node: the best walls, for large rotations and boundary layers",
         "Cost N_v x N_s. Carries the near-wall grid rigidly with the wall.",
         (IDW,),
-        lambda options: Composite(options.idw.bind, None),
+        lambda options: Composite(options.idw, None),
     ),
     "rbf-tfi": MethodEntry(
         "RBF for block interfaces and virtual sub-block faces, TFI inside",
         "Cost N_s^3 + N_s x N_v^(2/3) + N_v: saves the sum over all nodes, but not the system.",
         (RBF, TFI),
-        lambda options: Composite(options.rbf.bind, options.tfi),
+        lambda options: Composite(options.rbf, options.tfi),
     ),
     "idw-rbf": MethodEntry(
         "IDW for block interfaces, RBF inside every block",

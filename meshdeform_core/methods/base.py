@@ -254,5 +254,7 @@ class PreparedInterpolation(Protocol):
         ...
 
 
-Bind = Callable[[Problem, IntArray], PreparedInterpolation]
-"""Binds a scattered-data method to a problem and its target nodes: ``bind`` of its options."""
+class Mover(Protocol):
+    """Options of a scattered-data method, which bind it to a problem and its target nodes ``flat``."""
+
+    def bind(self, problem: Problem, flat: IntArray) -> PreparedInterpolation: ...

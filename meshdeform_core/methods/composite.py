@@ -19,7 +19,7 @@ from ..boundary.constraints import Layer
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
 from ..parallel import Nodes
-from .base import Account, Bind, Linearised, PreparedInterpolation, PreparedMethod, Problem, Progress
+from .base import Account, Linearised, Mover, PreparedInterpolation, PreparedMethod, Problem, Progress
 from .constraints import BesideSlip, Constraints, add_to_faces, impose, put_on_faces
 from .transfinite.edge_graph import PreparedEdgeGraph
 from .transfinite.tfi import TFI, Skeleton
@@ -35,7 +35,7 @@ class Composite:
     Without a filler the mover moves every node. ``kind`` of the prepared method, if it is not a plain composite.
     """
 
-    mover: Bind | None
+    mover: Mover | None
     filler: TFI | BlockRBF | None
     kind: Callable[[Composite, Problem], PreparedComposite] | None = None
 
@@ -52,9 +52,9 @@ class Composite:
         return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
 
 
-def _mover(bind: Bind | None, problem: Problem, flat: IntArray) -> PreparedEdgeGraph | Scattered:
+def _mover(mover: Mover | None, problem: Problem, flat: IntArray) -> PreparedEdgeGraph | Scattered:
     """An interpolation for the nodes ``flat``, or TFI on the edge graph, which moves all face nodes."""
-    return PreparedEdgeGraph(problem) if bind is None else Scattered(bind(problem, flat), problem, flat)
+    return PreparedEdgeGraph(problem) if mover is None else Scattered(mover.bind(problem, flat), problem, flat)
 
 
 class Scattered:

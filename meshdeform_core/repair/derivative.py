@@ -25,7 +25,7 @@ _LOOSE, _ITERATIONS, _CYCLES = 1e-3, 5000, 3
 _ENOUGH, _SOLVED = 1e-15, 1e-9
 """Relative residuals at which a solution is exact enough, and at which it is one at all; refined from 1e-8 on."""
 _STEPS = 2
-_SINGULAR = "the derivative of the repaired grid cannot be computed, as its energy is hardly curved; take --repair off"
+_SINGULAR = "the derivative of the repaired grid is the solution of a nearly singular system; turn repairs off"
 
 
 def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> RepairDerivative | None:

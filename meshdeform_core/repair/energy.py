@@ -244,11 +244,10 @@ class Region:
 
     def spreading(self, frame: FloatArray) -> scipy.sparse.bsr_array:
         """The matrix (n d, n_unknowns d) from changes of the unknowns to those of nodes with frames (n, d, d)."""
-        (n, d, _), free = frame.shape, self.unknowns.number >= 0
+        (n, d, _), number = frame.shape, self.unknowns.number
+        free = number >= 0
         starts = np.append(0, np.cumsum(free))
-        return scipy.sparse.bsr_array(
-            (frame[free], self.unknowns.number[free], starts), shape=(n * d, self.n_unknowns * d)
-        )
+        return scipy.sparse.bsr_array((frame[free], number[free], starts), shape=(n * d, self.n_unknowns * d))
 
     def moved(self, x: FloatArray, unknowns: Unknowns, step: FloatArray, length: float) -> FloatArray:
         """Coordinates after ``length`` times the step (n_unknowns, d) of the unknowns."""

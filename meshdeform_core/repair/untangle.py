@@ -146,7 +146,7 @@ class Untangler:
         needed, or ``None`` if this failed.
 
         Cells at walls have smaller weights than in the energy to be minimised, as folds open sooner if all cells take
-        part. The regularisation falls as in Garanzha et al. 2021 (section 2.3), but faster while energies hardly do.
+        part. The regularisation falls as in Garanzha et al. 2021 (section 2.3), but faster when the energy stalls.
         """
         whole, self.region = self.region, replace(self.region, energy=self.region.energy.softened(SOFTENED))
         eps, last, untangled = way.first, 0.0, False

@@ -157,8 +157,7 @@ def minres(
 def count_operations(method: Composite, problem: Problem, account: Account) -> float:
     """Operations of ``prepare`` and one ``apply``, after which the account is ``account``."""
     skeleton = method.filler.skeleton(problem) if method.filler else None
-    # The first step is the method ``bind`` of some options.
-    targets, mover = len(first_step_nodes(problem, skeleton)), getattr(method.mover, "__self__", None)
+    targets, mover = len(first_step_nodes(problem, skeleton)), method.mover
     total, found = 0.0, {name: setting.value for name, setting in account.settings.items()}
     if isinstance(mover, IDW):
         total += idw_operations(mover, targets, len(problem.source_numbers))
