@@ -22,7 +22,7 @@ from meshdeform_core.quality import Original, assess
 from meshdeform_core.repair import RepairOptions, options
 
 DEFAULT = Options("idw-tfi")
-PLAIN = Composite(IDW().bind, TFI())
+PLAIN = Composite(IDW(), TFI())
 
 
 def channel(ni: int = 91, nj: int = 31) -> Grid:
