@@ -29,7 +29,7 @@ VELOCITY_BYTES, SWEPT_BYTES = 48, 96
 sweep: in two intervals, their combination, and what is written."""
 PICTURE_BYTES = 280 * 2**20
 """Bytes for drawing the pictures of a report: up to 273 MiB were measured."""
-SMALL = 2**28
+SMALL = 5 * 2**26
 """Resident bytes of a process whose freed memory is not worth the time to return it."""
 _INSTEAD = "allow more, or use a machine that has it"
 

@@ -5,7 +5,7 @@ One-to-one connections, including periodic ones; other types are only noted.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,13 +20,7 @@ from .zone import Base, Notes, Zone, declared_unit
 
 _POINT_SETS = ("PointRange", "PointList", "ElementRange", "ElementList")
 # Index axis normal to the faces of each location; for the first two it follows from the indices.
-_FACE_LOCATIONS: Mapping[str, int | None] = {
-    "FaceCenter": None,
-    "EdgeCenter": None,
-    "IFaceCenter": 0,
-    "JFaceCenter": 1,
-    "KFaceCenter": 2,
-}
+_FACE_LOCATIONS = {"FaceCenter": None, "EdgeCenter": None, "IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
 
 
 def zone_patches(zone: Zone, block: int, families: Mapping[str, str], notes: Notes) -> list[Patch]:
@@ -184,7 +178,11 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
     blocks = {zone.name: block for block, zone in enumerate(zones)}
     connections, kinds = [], set[str]()
     for block, zone in enumerate(zones):
-        for node in _members(zone):
+        groups = zone.node.labelled("ZoneGridConnectivity_t")
+        for group in groups:
+            # A broken link is refused, as it may be a connection.
+            group.labelled("GridConnectivity1to1_t")
+        for node in (each for group in groups for each in group.target.children):
             kind, place = _kind(node), f"{zone.name}/{node.name}"
             kinds.add(kind)
             if kind == "1to1":
@@ -200,13 +198,6 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
                 notes.add(f"{kind} connectivity is kept in the file but not used; coincident nodes stay joined", place)
     joined = {"1to1", "Abutting1to1", "Abutting"} & kinds
     return connections, len(zones) > 1 and "Overset" in kinds and not joined
-
-
-def _members(zone: Zone) -> Iterator[Node]:
-    """The members of every ZoneGridConnectivity_t; broken links are refused, as they may be connections."""
-    for group in zone.node.labelled("ZoneGridConnectivity_t"):
-        group.labelled("GridConnectivity1to1_t")
-        yield from group.target.children
 
 
 def _kind(node: Node) -> str:

@@ -19,13 +19,11 @@ from meshdeform_core.parallel import ONE_PROCESS, Ranks
 from ..files import checked_options
 from ..planes import ranges_of, read_planes
 from .boundary import zone_connections, zone_patches
-from .tree import MAXIMUM_DEPTH, is_adf
+from .tree import is_adf
 from .zone import Notes, Zone, base_and_zones, naming, opened_cgns
 
 # The options of files whose zones have both precisions.
 _MIXED = {"precision": "mixed"}
-# About thirty nodes per zone, including its connections.
-_MOST_NODES = 10_000_000
 
 
 def linked_files(path: Path) -> Iterator[Path]:
@@ -37,15 +35,11 @@ def linked_files(path: Path) -> Iterator[Path]:
         return
     from .adf import read_adf
 
-    waiting, count = [(read_adf(path), 0)], 0
+    waiting = [read_adf(path)]
     while waiting:
-        node, depth = waiting.pop()
-        for child in node.children:
-            count += 1
-            if count > _MOST_NODES or depth > MAXIMUM_DEPTH:
-                raise FormatError(f"{path} has more nodes than any CGNS file; it is damaged")
+        for child in waiting.pop().children:
             if child.link is None:
-                waiting.append((child, depth + 1))
+                waiting.append(child)
             elif child.link.file and not child.dangling:
                 yield child.target.file
 

@@ -278,7 +278,7 @@ def write_hdf5(tree: Node, path: Path) -> None:
     Links within the file remain links. The target of a link to another file is copied into the new file, because HDF5
     links may be unable to reach it; if it is missing, the link is kept.
     """
-    with hdf5_output(path, "w", libver=("earliest", "v108"), track_order=True) as file:
+    with hdf5_output(path, "w", libver=("earliest", "v108"), track_order=True) as (file, _):
         root = h5g.open(file.id, b"/")
         _describe(root, "HDF5 MotherNode", "Root Node of HDF5 File", "MT")
         file[" format"] = characters(f"IEEE_{sys.byteorder.upper()}_32")
@@ -393,19 +393,19 @@ _BUFFER = 1 << 20
 
 
 @contextmanager
-def hdf5_output(path: Path, mode: str, **options: Any) -> Iterator[h5py.File]:
-    """An HDF5 file open for writing: ``mode`` is ``w`` or ``r+``, ``options`` are those of ``h5py.File``.
+def hdf5_output(path: Path, mode: str, **options: Any) -> Iterator[tuple[h5py.File, Unfailing]]:
+    """An HDF5 file open for writing, and its bytes: ``mode`` is ``w`` or ``r+``, ``options`` those of ``h5py.File``.
 
     Raises OSError at the end of the block, if anything could not be written. Raises FormatError when the library failed
     for another reason.
     """
-    raw = _Unfailing(path, "w+" if mode == "w" else mode)
+    raw = Unfailing(path, "w+" if mode == "w" else mode)
     # The library writes the headers of thousands of nodes one by one, mostly in ascending order.
     sink = io.BufferedRandom(raw, _BUFFER)
     try:
         # An exception from a signal handler must not pass through the library either.
         with interruption.deferred(), h5py.File(sink, mode, **options) as file:
-            yield file
+            yield file, raw
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise raw.failure or error from error
     finally:
@@ -418,12 +418,17 @@ def hdf5_output(path: Path, mode: str, **options: Any) -> Iterator[h5py.File]:
         raise raw.failure
 
 
-class _Unfailing(io.FileIO):
-    """After the first error of the system, ``failure``, nothing more is written, as if it had been."""
+class Unfailing(io.FileIO):
+    """After an error of the system, ``failure``, nothing more is written; ``changed``: other bytes than before were."""
 
     failure: OSError | None = None
+    changed = False
 
     def write(self, data: Any) -> int:
+        if not self.changed:
+            at = self.tell()
+            self.changed = super().read(len(data)) != data
+            self.seek(at)
         if self.failure is None and interruption.requested() is None:
             try:
                 return super().write(data)

@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -211,8 +211,23 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
     write_completed(grid, path, lambda partial: _prepared_copy(grid, source, path, partial, precision, boxes))
 
 
+@lru_cache(maxsize=8)
+def _plain_copies(source: Path, state: tuple[int, int, int]) -> dict[object, tuple[int, dict[int, list[Stored]]]]:
+    """Of a file, while it is unchanged: the dimension of its base and the places of its coordinates, for copies that
+    differ in the values of these only, such as the levels of a series; by what else a copy depends on."""
+    return {}
+
+
 def _prepared_copy(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes) -> Places:
     """Write everything but the values of nodes, cells and faces; returns the places of these."""
+    state = source.stat()
+    plain = _plain_copies(source, (state.st_ino, state.st_size, state.st_mtime_ns))
+    which, numbers = (grid.names, grid.shapes, precision, path.parent.resolve()), fields_by_place(grid)
+    if which in plain and not numbers and (plain[which][0] == 3 or not any(end[:, 2].any() for end in boxes())):
+        with hdf5_errors(path, "write"):
+            shutil.copyfile(source, partial)
+        known = plain[which][1].items()
+        return Places(partial, {b: [dataclasses.replace(each, path=partial) for each in own] for b, own in known})
     with opened_cgns(source) as root:
         with naming(source):
             base, zones = _same_zones(root, grid, source, boxes)
@@ -221,11 +236,11 @@ def _prepared_copy(grid: Grid, source: Path, path: Path, partial: Path, precisio
                 write_hdf5(root, partial)
             else:
                 shutil.copyfile(source, partial)
-            with hdf5_output(partial, "r+") as file:
+            with hdf5_output(partial, "r+") as (file, written):
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 owns = [own_group(group, zone.node) for zone in zones]
-                places, numbers = Places(partial), fields_by_place(grid)
+                places = Places(partial)
                 for block, (parent, zone) in enumerate(zip(owns, zones, strict=True)):
                     group = own_group(parent, zone.grid)
                     arrays = (own_group(group, node) for node in zone.coordinates)
@@ -242,6 +257,10 @@ def _prepared_copy(grid: Grid, source: Path, path: Path, partial: Path, precisio
                         others = [name for name, old in found if (old.label, {n.name for n in old.children}) != own]
                         (name,) = unique_names([solution.name], solution.name, others)
                         put_node(parent, dataclasses.replace(solution, name=name))
+    # Others hold values that are the same by chance: compressed coordinates, bounding boxes, fields.
+    only_values = len(places.coordinates) == len(zones) and not (numbers or any(z.grid.target.dims for z in zones))
+    if only_values and not written.changed and not is_adf(source):
+        plain[which] = base.dimension, places.coordinates
     return places
 
 

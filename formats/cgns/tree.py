@@ -143,11 +143,10 @@ class Node:
 
     def child(self, name: str) -> Node | None:
         """The child of that name, with links followed, which must not be broken; ``None`` if there is none."""
-        child = next((each for each in self.target.children if each.name == name), None)
-        if child is None:
-            return None
-        child.require_target()
-        return child.target
+        child = self.target.by_name.get(name)
+        if child is not None:
+            child.require_target()
+        return child and child.target
 
     def labelled(self, label: str) -> list[Node]:
         """Children of that label in file order, under their names here (links are not followed).

@@ -132,13 +132,15 @@ def base_and_zones(root: Node, notes: Notes | None = None) -> tuple[Base, list[Z
             f"{len(others)} of {len(nodes)} zones are not Structured; the first is {others[0][0]!r} ({others[0][1]}); "
             f"only block-structured grids can be deformed: export a grid of Structured zones"
         )
-    _note_dangling(base.node, notes)
+    for node in (base.node, *nodes):
+        for child in node.target.broken_links:
+            notes.add("broken links are kept as they are", f"{node.name}/{child.name} -> {child.link}")
     zones = [_zone(node, base, notes) for node in nodes]
     # Refuse curves, and surfaces together with volumes; a base with only surfaces is a plane grid.
     flat = [base.cell_dimension - sum(count > 1 for count in zone.counts) for zone in zones]
     for zone, missing in zip(zones, flat, strict=True):
         if missing and (base.cell_dimension - missing != 2 or not all(flat)):
-            what = _FLAT[missing + 3 - base.cell_dimension]
+            what = ("a surface", "a curve", "a point")[missing + 2 - base.cell_dimension]
             kind = "volumes" if base.cell_dimension == 3 else "surfaces"
             raise FormatError(
                 f"zone {zone.name} has {' x '.join(map(str, zone.counts))} nodes: it is {what} in the base "
@@ -146,15 +148,6 @@ def base_and_zones(root: Node, notes: Notes | None = None) -> tuple[Base, list[Z
                 f"nodes along each index, and curves and surfaces in a base of their own"
             )
     return base, zones
-
-
-_FLAT = {1: "a surface", 2: "a curve", 3: "a point"}
-
-
-def _note_dangling(node: Node, notes: Notes) -> None:
-    """Note broken links that cannot be part of the grid."""
-    for child in node.target.broken_links:
-        notes.add("broken links are kept as they are", f"{node.name}/{child.name} -> {child.link}")
 
 
 def _zone(node: Node, base: Base, notes: Notes) -> Zone:
@@ -190,7 +183,6 @@ def _zone(node: Node, base: Base, notes: Notes) -> Zone:
             notes.add(
                 "coordinates linked from another file become part of the written file", f"{node.name} ({linked.link})"
             )
-    _note_dangling(node, notes)
     unit = declared_unit((*coordinates[:1], grid, node, base.node), _LENGTH)
     if unit not in ("", "Null", "UserDefined"):
         notes.add("the length unit in the file is", unit)

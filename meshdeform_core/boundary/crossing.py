@@ -111,6 +111,10 @@ class CrossingTest:
             self.points = np.concatenate([self.points, self.points + thickness * self._normal])
             self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
             self.edge = np.tile(self.edge, 2)
+        # Of a node the same whichever others are on the surface.
+        sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
+        directions = (source.uniform(-1.0, 1.0, (topology.n_unique, 3))[self.nodes] for _ in range(sides))
+        self._directions = np.concatenate(list(directions))
 
     def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
         """Patches whose faces cross after a displacement but not before, or come closer than ``gap``.
@@ -228,13 +232,8 @@ class CrossingTest:
         return winding(points, triangles, (a + b + c) / 3.0 - _INSIDE * area / np.sqrt(np.maximum(size, 1e-300)))
 
     def _shift(self, gap: float) -> FloatArray:
-        """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere; of a
-        node the same whichever others are on the surface."""
-        sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
-        all_nodes = (self._topology.n_unique, 3)
-        shift = np.concatenate([source.uniform(-1.0, 1.0, all_nodes)[self.nodes] for _ in range(sides)])
-        shift *= np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)[:, None]
-        return shift
+        """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere."""
+        return self._directions * np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)[:, None]
 
     def _amplitude(self, gap: float) -> FloatArray:
         # The test for lying outside uses points at a small distance from the faces, which is allowed for here.

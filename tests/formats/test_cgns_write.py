@@ -136,13 +136,17 @@ def test_rind_planes_and_bounding_box(tmp_path):
     whole = box(5, 4, 5)
     arrays = [N(f"Coordinate{'XYZ'[c]}", "DataArray_t", whole[..., c]) for c in range(3)]
     rind = N("Rind", "Rind_t", np.array([1, 0, 0, 1, 0, 0], np.int32))
-    bounds = np.stack([whole.min(axis=(0, 1, 2)), whole.max(axis=(0, 1, 2))], axis=1)
-    inner = zone("z", whole[1:, :3])
+    own = whole[1:, :3]
+    bounds = np.stack([own.min(axis=(0, 1, 2)), own.max(axis=(0, 1, 2))], axis=1)
+    inner = zone("z", own)
     coordinates = N("GridCoordinates", "GridCoordinates_t", bounds, [rind, *arrays])
     bounded = replace(inner, children=[inner["ZoneType"], coordinates])
-    grid = moved(read_grid(write_hdf5(tmp_path / "in.cgns", tree(zone("a", box(2, 2, 2, (9, 0, 0))), bounded))))
+    undeformed = read_grid(write_hdf5(tmp_path / "in.cgns", tree(zone("a", box(2, 2, 2, (9, 0, 0))), bounded)))
+    grid = moved(undeformed)
     for precision in ("float64", "float32"):
-        write_grid(grid, tmp_path / "out.cgns", {"precision": precision})
+        # The first copy has the bounds of the file; they are not those of the second.
+        for level in (undeformed, grid):
+            write_grid(level, tmp_path / "out.cgns", {"precision": precision})
         with h5py.File(tmp_path / "out.cgns") as file:
             group = file["Base/z/GridCoordinates"]
             stored = np.stack([group[f"Coordinate{c}/ data"][()].T for c in "XYZ"], axis=-1)
@@ -274,6 +278,8 @@ def test_adf_variants_become_what_adf2hdf_makes_of_them(tmp_path, version, order
 def test_source_that_is_gone_or_changed(tmp_path):
     source = write_hdf5(tmp_path / "in.cgns", two_zones())
     grid = read_grid(source)
+    write_grid(grid, tmp_path / "out.cgns")
+    (tmp_path / "out.cgns").unlink()
     write_hdf5(source, tree(zone("left", box(4, 3, 5)), zone("right", box(4, 3, 5))))
     with pytest.raises(FormatError, match=r"in\.cgns has changed since .*: its zones are now left \(4, 3, 5\)"):
         write_grid(grid, tmp_path / "out.cgns")

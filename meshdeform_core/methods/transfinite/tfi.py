@@ -10,7 +10,6 @@ displacement of the sub-block, fitted to its corners, T d + G (x - T x) reproduc
 from __future__ import annotations
 
 import copy
-import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -137,8 +136,8 @@ FEW_PAIRS = (5e7, 4), (2e8, 8), (np.inf, 16)
 Sums over 5e7 pairs take less than a tenth of a second. Small grids are coarse, and a motion may change within a few of
 their cells; smaller sub-blocks follow it better.
 """
-# Nodes in a group of sub-blocks, small enough for their coordinates to stay in the cache until they are used.
-_TOGETHER = 1 << 17
+# Nodes in a group of sub-blocks, whose coordinates stay in the cache until they are used; of grids that keep them all.
+_TOGETHER, _KEEPING = 1 << 17, 1 << 19
 
 
 @dataclass(frozen=True)
@@ -340,8 +339,8 @@ def _measured(group: Group, rows: IntArray, one_plane: bool = False) -> tuple[In
 class PreparedTFI:
     """The sub-blocks of one undeformed grid, filled group by group.
 
-    Arc coordinates exist only while their group is filled: recomputing them takes less time than the blending, and for
-    all nodes they would take as much memory as the grid.
+    Arc coordinates of large grids exist only while their group is filled: recomputing them takes less time than the
+    blending, and for all nodes they would take as much memory as the grid.
     """
 
     def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
@@ -349,13 +348,12 @@ class PreparedTFI:
         self._points, self._subs = problem.grid.nodes.rows, skeleton.sub_blocks()
         self.account = Account()
         cells = options.cells(problem)
-        setting = dataclasses.replace(options.used("max_cells")["max_cells"], value=cells)
+        reason = options.used("max_cells")["max_cells"].reason
         if options.max_cells == "auto":
             cheap = "sub-blocks as small as this cost little and follow a motion that changes within a few cells"
-            usual = f"smaller sub-blocks would take longer, and this {setting.reason.removeprefix('default: ')}"
+            usual = f"smaller sub-blocks would take longer, and this {reason.removeprefix('default: ')}"
             reason = f"{_pairs(problem):.1e} pairs of nodes and sources: {cheap if cells < FEW_PAIRS[-1][1] else usual}"
-            setting = dataclasses.replace(setting, reason=reason)
-        self.account.settings["max_cells"] = setting
+        self.account.settings["max_cells"] = Setting(cells, reason)
         self.account.settings["sub_blocks"] = Setting(len(self._subs), "follows from max_cells")
         # Rows of the nodes that this rank holds.
         self.rows = problem.grid.nodes.ends
@@ -378,8 +376,8 @@ class PreparedTFI:
             self._subs, self.rows = subs[own], (low, high)
             nodes.widen(low, high)
         self._groups = batches(box_numbers(self._subs), _TOGETHER)
-        # The bent sub-blocks of each group, once it has been examined.
-        self._bent: dict[int, tuple[IntArray, FloatArray]] = {}
+        # The bent sub-blocks of each group that has been examined, and the groups of a small grid.
+        self._bent, self._kept = dict[int, tuple[IntArray, FloatArray]](), dict[int, Group]()
 
     @cached_property
     def _touching(self) -> PreparedTFI:
@@ -423,7 +421,9 @@ class PreparedTFI:
     def group(self, number: int) -> tuple[Group, CurvedLines | None]:
         """A group of sub-blocks, and the deviations of those grid lines that TFI would not generate."""
         first, last = self._groups[number]
-        group = Group.of(self._points, self._subs[first:last])
+        group = self._kept.get(number) or Group.of(self._points, self._subs[first:last])
+        if self.problem.grid.n_nodes <= _KEEPING:
+            self._kept[number] = group
         if self._straight:
             return group, None
         curved = CurvedLines(group, self._bent.get(number))

@@ -55,7 +55,8 @@ def overlapping_faces(
     for first in range(0, len(faces), _TOGETHER):
         some = slice(first, first + _TOGETHER)
         its_low, its_high = _boxes(points, faces[some], margin[some])
-        near.append(first + np.flatnonzero(((its_low <= high) & (its_high >= low)).all(axis=1)))
+        both = zip(its_low.T, high, low, its_high.T, strict=True)
+        near.append(first + np.flatnonzero(np.logical_and.reduce([(a <= b) & (c <= d) for a, b, c, d in both])))
     order = np.concatenate(near)
     low, high = _boxes(points, faces[order], margin[order])
     places = halves(0.5 * (low + high))
@@ -68,13 +69,8 @@ def overlapping_faces(
 
 def _boxes(points: FloatArray, faces: IntArray, margin: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest coordinates (m, 3) of faces, with a margin (m,) around each."""
-    low = points.take(faces[:, 0], axis=0)
-    high = low.copy()
-    for corner in faces.T[1:]:
-        x = points.take(corner, axis=0)
-        np.minimum(low, x, out=low)
-        np.maximum(high, x, out=high)
-    return low - margin[:, None], high + margin[:, None]
+    corners = points.take(faces.T, axis=0)
+    return corners.min(axis=0) - margin[:, None], corners.max(axis=0) + margin[:, None]
 
 
 def crossing_faces(
