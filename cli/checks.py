@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +18,7 @@ from meshdeform_core.parallel import set_sharing
 from .options import CaseInput, Files, GridInput, RunInput
 
 if TYPE_CHECKING:
+    from meshdeform_core.grid import Grid
     from meshdeform_formats.grids import Layout
 
 _NODES = 4
@@ -67,6 +70,33 @@ def check_target(output: Path | None, run: RunInput, inputs: Files) -> None:
     if not run.allow_invalid:
         # The invalid grid of an earlier run may be replaced, an input never.
         check_output(invalid_path(output), True, inputs)
+
+
+def keep_boundaries(grid: Grid, output: Path, force: bool, inputs: Files) -> Callable[[], Path | None]:
+    """A function that writes the boundaries which the format of an output cannot hold into a neutral map file beside it
+    and returns its path; refuses to replace other boundaries. Types are the families or names of patches, so that case
+    files remain usable."""
+    from meshdeform_formats.grids import FORMATS, format_of
+    from meshdeform_formats.neutral_map import neutral_map_text, write_neutral_map
+
+    entry, path = FORMATS[format_of(output)], output.with_suffix(".nmf")
+    if not (grid.patches and not entry.patches) and not (grid.connections and not entry.connections):
+        return lambda: None
+    named = tuple(dataclasses.replace(patch, bc_type=patch.family or patch.name) for patch in grid.patches)
+    mapped = dataclasses.replace(grid, patches=named)
+    with contextlib.suppress(OSError):
+        # As after a conversion of the same grid to another format, or the file that they were read from.
+        told = path.is_file() and path.read_bytes() == neutral_map_text(mapped).encode("utf-8")
+        if told or any(file and path.samefile(file) for _, file in inputs):
+            return lambda: path
+    try:
+        check_output(path, force, inputs)
+    except FormatError as error:
+        raise FormatError(
+            f"{error}. {output.suffix} files cannot hold boundaries, which are therefore written next to {output} as "
+            f"{path.name}, but that file has other content"
+        ) from error
+    return lambda: write_neutral_map(mapped, path)
 
 
 def check_reports(reports: tuple[Path, ...], force: bool, inputs: Files) -> None:

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import tempfile
 import time as clock
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from meshdeform_core.errors import FormatError
 from meshdeform_core.memory import passing
 from meshdeform_core.wording import counted
 
-from .checks import check_output, check_reports, make_room
-from .options import OUTPUT, PATH, CaseInput, Files, FiniteNumber, GridInput, RunInput, grid_options, packed
+from .checks import check_output, check_reports, keep_boundaries, make_room
+from .options import OUTPUT, PATH, CaseInput, FiniteNumber, GridInput, RunInput, grid_options, packed
 from .process import EXIT_INVALID, ProgressBar, stage, tell
-
-if TYPE_CHECKING:
-    from meshdeform_core.grid import Grid
 
 _READ, _JUDGED, _WRITTEN, _FIELDS = 1.5, 2.5, 2, 5
 """Memory in units of the coordinates: grids and buffers of reading; with verdict and totals; with buffers of writing;
@@ -210,60 +203,29 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
     are the names of families or patches.
     """
     from meshdeform_formats.fields import check_fields, with_fields
-    from meshdeform_formats.grids import FORMATS, complete_for_export, format_of, read_grid, write_grid
+    from meshdeform_formats.grids import complete_for_export, format_of, read_grid, write_grid
     from meshdeform_formats.inputs import existing
 
-    entry, options, fields = FORMATS[format_of(target)], run.variant_options, run.fields
+    format_of(target)
     check_output(target, run.force, [*source.files, ("reference", reference)])
-    check_fields(fields, target, reference is not None)
+    check_fields(run.fields, target, reference is not None)
     sources = [source, *([GridInput(reference)] if reference else [])]
-    arrays = passing(_WRITTEN + (_FIELDS if fields else 0))
+    arrays = passing(_WRITTEN + (_FIELDS if run.fields else 0))
     make_room(run.limit(), "converting", arrays, sources, existing(target.absolute().parent))
-    with ProgressBar(not run.quiet, compiles=bool(fields)) as progress:
-        grid = complete_for_export(source.read(), target)
-        if fields:
+    with ProgressBar(not run.quiet, compiles=bool(run.fields)) as progress:
+        grid = complete_for_export(source.read(), target, run.variant_options)
+        if run.fields:
             from meshdeform_core.quality.fields import CellFields
 
             progress("quality", 0, 0)
-            grid = with_fields(CellFields.of(grid, None if reference is None else read_grid(reference)), fields)
-        boundaries, write_boundaries = target.with_suffix(".nmf"), None
-        if (grid.patches and not entry.patches) or (grid.connections and not entry.connections):
-            write_boundaries = _write_boundaries(grid, boundaries, target, run.force, source.files)
+            grid = with_fields(CellFields.of(grid, None if reference is None else read_grid(reference)), run.fields)
+        write_boundaries = keep_boundaries(grid, target, run.force, source.files)
         with stage("write"):
-            written = write_grid(grid, target, options)
-        if write_boundaries:
-            write_boundaries()
+            written = write_grid(grid, target, run.variant_options)
+        boundaries = write_boundaries()
     for note in grid.notes:
         tell(f"warning: {note}")
-    if target.suffix.lower() == ".vtu" and options.get("boundary") != "true" and grid.patches:
-        tell(
-            f"warning: {target.suffix} files cannot hold the {len(grid.patches)} patches of the grid; add the outside "
-            "faces with their families by --variant boundary=true"
-        )
     if not run.quiet:
-        beside = f"; boundaries in {boundaries}" if write_boundaries else ""
+        beside = f"; boundaries in {boundaries}" if boundaries else ""
         click.echo(f"{target}: {written.label}, {counted(grid.n_blocks, 'block')}, {grid.n_nodes:,} nodes{beside}")
     return 0
-
-
-def _write_boundaries(grid: Grid, path: Path, target: Path, force: bool, inputs: Files) -> Callable[[], None]:
-    """Refuse to replace a file with other boundaries than those of the grid; returns a function that writes it.
-
-    Types are the families or names of patches, so that case files remain usable.
-    """
-    from meshdeform_formats.neutral_map import neutral_map_text, write_neutral_map
-
-    named = tuple(dataclasses.replace(patch, bc_type=patch.family or patch.name) for patch in grid.patches)
-    mapped = dataclasses.replace(grid, patches=named)
-    with contextlib.suppress(OSError):
-        # As after a conversion of the same grid to another format.
-        if path.is_file() and path.read_bytes() == neutral_map_text(mapped).encode("utf-8"):
-            return lambda: None
-    try:
-        check_output(path, force, inputs)
-    except FormatError as error:
-        raise FormatError(
-            f"{error}. {target.suffix} files cannot hold boundaries, which are therefore written next to {target} as "
-            f"{path.name}, but that file has other content"
-        ) from error
-    return lambda: write_neutral_map(mapped, path)

@@ -12,7 +12,7 @@ import click
 
 from meshdeform_core.memory import SWEPT_BYTES, VELOCITY_BYTES
 
-from .checks import check_order, check_reports, check_target, make_room, too_large
+from .checks import check_order, check_reports, check_target, keep_boundaries, make_room, too_large
 from .options import OUTPUT, PATH, CaseInput, GridInput, RunInput, SeriesInput, grid_options, packed
 from .process import EXIT_INVALID, ProgressBar, tell
 
@@ -84,7 +84,9 @@ def deform_command(source: GridInput, output: Path | None, case: CaseInput, run:
         assert output is not None
         with ProgressBar(not run.quiet) as progress:
             job = load(limit, output.parent)
+            write_boundaries = keep_boundaries(job.grid, output, run.force, files)
             report, illustrate = work.run(job, output, case, run, progress)
+            job.grid.nodes.ranks.on_first(write_boundaries)
         written = [*files, ("output", Path(report["output"]))]
         return work.conclude(report, run, start, written, job.grid.nodes.ranks, illustrate)
 
@@ -160,6 +162,8 @@ def series_command(source: GridInput, case: CaseInput, wanted: SeriesInput, run:
             begin = partial(series_run.open_manifest, plan, wanted.resume or begun, run.force and not begun)
             plan.manifest = plan.job.grid.nodes.ranks.on_first(begin)
             plan.files.recall(plan.manifest.levels)
+            grid, force = plan.job.grid, wanted.resume or begun or run.force
+            grid.nodes.ranks.on_first(keep_boundaries(grid, plan.files.plain, force, files))
             begun = True
             report = series_run.carry_out(plan, progress)
         return work.conclude(report, run, start, [*files, ("index", plan.files.view)], plan.job.grid.nodes.ranks)
@@ -232,7 +236,9 @@ def _repaired(
     precision, whole = None, grid
     if output:
         chosen, missing = variant_and_shortage(grid, output, run)
-        precision, whole = chosen.precision, complete_for_export(grid, output)
+        precision, whole = chosen.precision, complete_for_export(grid, output, run.variant_options)
+        files = [*source.files, ("reference", reference), ("boundaries", what.boundary_file)]
+        write_boundaries = keep_boundaries(grid, output, run.force or run.dry_run, files)
     start = clock.perf_counter()
     memory = Demand.of("repairing", REPAIRING, grid, original).left_of(run.memory())
     mended = mend(whole, original, what.case, precision, memory, progress)
@@ -245,6 +251,7 @@ def _repaired(
             return CellFields(mended.grid, mended.topology, mended.original)
 
         target = str(write_judged(mended.grid, mended.assessment.valid, output, run, cells))
+        write_boundaries()
         seconds["write"] = clock.perf_counter() - start
     report = {**mended_report(mended, str(reference), seconds, peak_memory()), "output": target}
     report["warnings"] += [missing] if missing else []

@@ -59,7 +59,7 @@ def prepare(job: Job, source: GridInput, case: CaseInput, wanted: SeriesInput, o
     schedule = Schedule(times, wanted.velocity, case.steps)
     name = name_of(source.path, wanted, job.grid.format)
     check_fields(options.fields, Path(name), True)
-    grid = complete_for_export(job.grid, Path(name))
+    grid = complete_for_export(job.grid, Path(name), options.variant_options)
     kind = FoamFiles if Path(name).suffix.lower() == ".foam" else LevelFiles
     files: SeriesFiles = kind(grid, wanted.output, name, times, options.variant_options, wanted.velocity)
     manifest = Manifest(wanted.output / NAME, {})

@@ -186,7 +186,7 @@ def run(job: Job, output: Path, case: CaseInput, options: RunInput, progress: Pr
     """Deform and write; returns the report and a function that draws its pictures."""
     chosen, _ = variant_and_shortage(job.grid, output, options)
     result = deform(
-        complete_for_export(job.grid, output),
+        complete_for_export(job.grid, output, options.variant_options),
         job.case.case,
         time=case.at_time or 0.0,
         steps=case.steps,

@@ -194,10 +194,10 @@ def read_grid_with_boundaries(
     return read_neutral_map(boundary_file, grid)
 
 
-def complete_for_export(grid: Grid, path: Path) -> Grid:
-    """The grid, ready to be written to ``path``: with interfaces found from the coordinates if the format holds
-    connections and the grid declares none, and with a note of the data that the format cannot hold: fields, IBLANK and
-    solutions, but for fields computed for the file itself (``--field``)."""
+def complete_for_export(grid: Grid, path: Path, options: Mapping[str, Any] | None = None) -> Grid:
+    """The grid, ready to be written to ``path`` in a variant: with interfaces found from the coordinates if the format
+    holds connections and the grid declares none, and with notes of what it cannot hold: fields, IBLANK and solutions,
+    but for fields computed for the file itself (``--field``), and patches that no neutral map file beside it holds."""
     name, source = format_of(path), grid.format.name if grid.format else ""
     blocks = Counter((field.location, field.name) for field in grid.fields)
     lost = []
@@ -215,6 +215,9 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     if names:
         note = f"{path.suffix} files cannot hold these data of the grid, which are not written: {listed(names)}"
         grid = dataclasses.replace(grid, notes=(*grid.notes, note))
+    if path.suffix.lower() == ".vtu" and grid.patches and str((options or {}).get("boundary")).lower() != "true":
+        lack = f"{path.suffix} files cannot hold the {len(grid.patches)} patches of the grid; add the outside faces"
+        grid = dataclasses.replace(grid, notes=(*grid.notes, f"{lack} with their families by --variant boundary=true"))
     if FORMATS[name].connections != "declared" or grid.connections or source == name:
         return grid
     from meshdeform_core.grid.connections import find_interfaces

@@ -253,10 +253,11 @@ _THIN = "-" * 83
 Spans = Mapping[int, tuple[int, int]]
 
 
-def write_neutral_map(grid: Grid, path: Path) -> None:
+def write_neutral_map(grid: Grid, path: Path) -> Path:
     """Write patches and connections of ``grid`` as a neutral map file, replacing ``path`` as a whole."""
     with replacing(Path(path)) as partial:
         partial.write_text(neutral_map_text(grid), encoding="utf-8")
+    return path
 
 
 def neutral_map_text(grid: Grid) -> str:

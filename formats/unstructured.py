@@ -49,8 +49,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """
     suffix = Path(path).suffix.lower()
     known = _OPTIONS.get(suffix, {})
-    defaults = {key: values[0] for key, values in known.items()}
-    chosen = defaults | checked_options(f"cannot write {path}", options, known)
+    chosen = {key: values[0] for key, values in known.items()} | checked_options(f"cannot write {path}", options, known)
     return FileFormat("meshio", options={"kind": suffix[1:], **chosen})
 
 
@@ -194,12 +193,9 @@ def _write_msh(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str
     dimension = grid.dimension
     groups = {name: np.array([len(mesh.names) + 1 + b, dimension]) for b, name in enumerate(grid.names)}
     groups |= {name: np.array([1 + p, dimension - 1]) for p, name in enumerate(mesh.names)}
-    meshio.Mesh(
-        mesh.points,
-        _cells_and_faces(mesh),
-        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-        field_data=groups,
-    ).write(path, file_format="gmsh22", binary=options["encoding"] == "binary")
+    data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+    gmsh = meshio.Mesh(mesh.points, _cells_and_faces(mesh), cell_data=data, field_data=groups)
+    gmsh.write(path, file_format="gmsh22", binary=options["encoding"] == "binary")
 
 
 def _cells_and_faces(mesh: _Unstructured) -> list[tuple[str, IntArray]]:

@@ -332,7 +332,7 @@ def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) 
         if not force:
             raise FormatError(f"{target} exists; choose another name, or force=True to overwrite it")
     with together(grid):
-        write_grid(complete_for_export(own, target), target, variant)
+        write_grid(complete_for_export(own, target, variant), target, variant)
 
 
 def _path(path: object) -> Path:

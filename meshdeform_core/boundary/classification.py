@@ -22,7 +22,7 @@ from ..numerics.geometry.coincidence import distinct
 from ..wording import listed, vector
 from .constraints import Pairs, Periodic, Slip, crease_notes, find_periodicity, find_sliding
 from .motions.expression import Expression
-from .motions.motion import Follow, Motion, PreparedMotion, tiny_rotations
+from .motions.motion import Follow, Motion, PreparedMotion, doubtful_rotations
 from .tables import BoundaryNodes, SurfaceData, by_place
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
             # Faces that a table does not match are not the entry's, single nodes are.
             reached = prepared.nodes.numbers[prepared.moved]
             movers.append((reached, prepared))
-            notes += tiny_rotations(spec.name, motion)
+            notes += doubtful_rotations(spec.name, motion)
             quads = quads[np.isin(corners[quads], reached).all(axis=1)]
             nodes = distinct(corners[quads], n)
         if spec.kind is Kind.PERIODIC:

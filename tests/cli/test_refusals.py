@@ -290,12 +290,9 @@ def test_it_is_refused_with_one_message_and_nothing_is_written(name, bench, call
 
 DOUBTS = {
     "positions": (table(lambda p: p, lambda p: p), WITH_TABLE, "are they positions?"),
-    "another unit": (
-        None,
-        (*DEFORM, "-s", "boundary=[{motion=[{translate=[1e3, 0, 0]}]}]", "--dry-run"),
-        "the size of the grid",
-    ),
+    "unit": (None, (*DEFORM, "-s", "boundary=[{motion=[{translate=[1e3, 0, 0]}]}]", "--dry-run"), "size of the grid"),
     "radians": (None, (*DEFORM, "-s", "constants.turn=0.17", "--dry-run"), "degrees; angles are in degrees"),
+    "turns": (None, (*DEFORM, "-s", "constants.turn=-4e3", "--dry-run"), "by -4000 degrees; its nodes come to where a"),
 }
 
 

@@ -81,9 +81,8 @@ def volume(a, b, c, d):
 
 
 def found_to_cross(one, two):
-    faces = np.arange(8).reshape(2, 4)
-    points = np.concatenate([one, two])
-    return len(crossing_faces(points, faces.astype(np.int32), np.zeros(2, np.int8), np.ones(2, bool))[0]) > 0
+    points, faces = np.concatenate([one, two]), np.arange(8, dtype=np.int32).reshape(2, 4)
+    return len(crossing_faces(points, faces, np.zeros(2, np.int8), np.ones(2, bool))[0]) > 0
 
 
 @pytest.mark.parametrize("lattice", [0, 3])
@@ -226,17 +225,14 @@ def test_a_wall_through_its_body_is_told_although_every_cell_is_valid(grid, dept
         assert "the moved boundary crosses itself: '(not selected)' and 'left' meet at (0." in told[0]
 
 
-def told(warnings) -> bool:
-    return any("the moved boundary crosses itself" in text for text in warnings)
-
-
 @pytest.mark.parametrize("times", [(2.0,), (1.0, 2.0), (0.0, 0.5, 1.0, 1.5, 2.0), (2.0, 2.00001), (1.0, 2.0, 3.0)])
 def test_every_level_of_a_series_is_tested(times):
     """Whatever was tested before, and however little larger or smaller the displacement is."""
     left = moving("left", "block2.imax", formulas("1.2 * (1 - 4*y*y) * sin(pi * (t - 1.5))", "0", "0"))
     setup = set_up(frame_2d(), Case((left,), {}, Options("tfi"), repair=RepairOptions("off")))
-    found = {level.time: told(level.result.warnings) for level in deform_series(setup, Schedule(times), "float64")}
-    assert found == {t: np.sin(np.pi * (t - 1.5)) > 0.9 for t in times}
+    for level in deform_series(setup, Schedule(times), "float64"):
+        told = any("the moved boundary crosses itself" in text for text in level.result.warnings)
+        assert told == (np.sin(np.pi * (level.time - 1.5)) > 0.9)
 
 
 def pinned(grid, motion):

@@ -318,15 +318,15 @@ def positions_as_displacements(points: FloatArray, displacement: FloatArray) -> 
     ]
 
 
-def tiny_rotations(name: str, motion: Motion) -> list[str]:
-    """A warning for every constant rotation of boundary ``name`` whose angle looks like radians."""
+def doubtful_rotations(name: str, motion: Motion) -> list[str]:
+    """A warning for every constant rotation of boundary ``name`` whose angle looks like radians or exceeds a turn."""
     warnings = []
     for step in motion.steps:
-        if isinstance(step, Rotate) and not step.angle.names & {"x", "y", "z", "t"}:
+        if isinstance(step, Rotate) and not step.angle.names & set(VARIABLES):
             angle = float(np.asarray(step.angle(motion.constants)))
-            if 0.0 < abs(angle) < _SMALL_ANGLE:
-                warnings.append(
-                    f"boundary {name!r} is rotated by only {angle:.4g} degrees; angles are in degrees, and {angle:.4g} "
-                    f"radians would be {np.degrees(angle):.4g}"
-                )
+            doubt = f"angles are in degrees, and {angle:.4g} radians would be {np.degrees(angle):.4g}"
+            if abs(angle) > 360.0:
+                doubt = f"its nodes come to where a turn by {np.fmod(angle, 360.0):.4g} degrees takes them"
+            if 0.0 < abs(angle) < _SMALL_ANGLE or abs(angle) > 360.0:
+                warnings.append(f"boundary {name!r} is rotated by {angle:.4g} degrees; {doubt}")
     return warnings
