@@ -157,16 +157,15 @@ def coincident_copies(points: FloatArray, edge: FloatArray, relative: float = 1.
 
 
 def connected_components(n: int, pairs: IntArray) -> IntArray:
-    """Smallest member of each connected component, by label propagation with pointer jumping."""
+    """Smallest member of each connected component: the larger of two labels leads to the smaller one and from there to
+    where that leads, which halves the number of labels that are left, at least."""
     labels = np.arange(n)
     while len(pairs):
-        low = np.minimum(labels[pairs[:, 0]], labels[pairs[:, 1]])
-        before = labels.copy()
-        np.minimum.at(labels, pairs[:, 0], low)
-        np.minimum.at(labels, pairs[:, 1], low)
-        labels = labels[labels]
-        if np.array_equal(labels, before):
-            break
+        one, two = (labels.take(pairs[:, end]) for end in (0, 1))
+        pairs = np.stack([np.minimum(one, two), np.maximum(one, two)], axis=1)[one != two]
+        np.minimum.at(labels, pairs[:, 1], pairs[:, 0])
+        while not np.array_equal(further := labels[labels], labels):
+            labels = further
     return labels
 
 
