@@ -1,10 +1,12 @@
 """Components of overset grids: each is deformed exactly as if it were alone."""
 
 import dataclasses
+import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, STILL, constant, turning
+from cases import STILL, constant, told, turning
 from grids import block_around, frame, interleaved, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
@@ -15,9 +17,10 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.grid.openings import find_openings
 from meshdeform_core.grid.selection import BY_PREFIX, with_components
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.methods import Options
+from meshdeform_core.methods import RBF, Options
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
+from meshdeform_core.wording import kind_of
 
 NEAR = expression("abs(x) < 0.51 and abs(y) < 0.51", {"x", "y", "z"})
 FAR = expression("max(abs(x), abs(y)) > 1.99", {"x", "y", "z"})
@@ -63,32 +66,30 @@ def case(specs: tuple[BoundarySpec, ...], method: Options | None = None, compone
     return Case(specs, method=method or Options(), components=components, repair=RepairOptions(**repair))
 
 
-@pytest.mark.parametrize("name", ["idw-tfi", "rbf-tps", "tfi"])
-def test_every_component_moves_as_if_it_were_alone(name):
-    whole = deform(GRID, case(BAR + RING + FIXED, ALL_METHODS[name], BY_PREFIX))
+GREEDY = RBF(basis="ctps-c1", radius=6.0, greedy="hybrid", greedy_tolerance=1e-30)
+
+
+@pytest.mark.parametrize("method", [Options(), Options("rbf", rbf=GREEDY), Options("tfi")], ids=lambda each: each.name)
+def test_every_component_moves_as_if_it_were_alone(method):
+    whole = deform(GRID, case(BAR + RING + FIXED, method, BY_PREFIX))
+    settings, notices, motions = {}, {}, ()
     for own, specs in (("bar", BAR), ("ring", RING)):
-        single = deform(alone(GRID, own), case(specs, ALL_METHODS[name]))
+        single = deform(alone(GRID, own), case(specs, method))
         np.testing.assert_array_equal(part_of(whole.grid, own), single.grid.points)
         result = dict(whole.components)[own]
         assert (result.steps, result.valid) == (single.steps, single.valid)
         assert result.assessment.after == single.assessment.after
+        settings[own], motions = single.account.settings, motions + single.motion
+        said = single.account.notices.items()
+        notices |= {f"{own}: {kind}": f"component {own!r}: {text}" for kind, text in said}
     np.testing.assert_array_equal(part_of(whole.grid, "bg"), part_of(GRID, "bg"))
-
-
-def test_repairs_and_steps_are_those_of_each_component():
-    far = tuple(dataclasses.replace(spec, motion=turning(75.0)) if spec.name == "bar" else spec for spec in BAR)
-    whole = deform(GRID, case(far + RING + FIXED, components=BY_PREFIX))
-    single = deform(alone(GRID, "bar"), case(far))
-    np.testing.assert_array_equal(part_of(whole.grid, "bar"), single.grid.points)
-    results = dict(whole.components)
-    assert results["bar"].attempts == single.attempts
-    assert whole.repair is not None
-    assert whole.repair.nodes == single.repair.nodes
-    assert results["ring"].repair is None
-    # A component with free outer faces moves rigidly with its wall.
-    start, t = part_of(GRID, "ring") - [1.5, 0.7, 0.0], np.radians(20.0)
-    turn = np.array([[np.cos(t), -np.sin(t), 0.0], [np.sin(t), np.cos(t), 0.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(part_of(whole.grid, "ring"), start @ turn.T + [1.5, 0.7, 0.0], atol=1e-13)
+    # A setting has the name of its component unless it is the same in both.
+    bar, ring = settings.values()
+    named = [(key if bar.get(key) == ring.get(key) else f"{key} of {own}", value)
+             for own, each in settings.items() for key, value in each.items()]  # fmt: skip
+    assert whole.account.settings == dict(named)
+    assert (whole.account.notices, whole.motion) == (notices, motions)
+    assert ["greedy reduction stopped with" in text for text in notices.values()] == [True] * 2 * (method.name == "rbf")
 
 
 def test_as_much_of_the_motion_is_reached_as_the_component_that_fails_reaches():
@@ -99,13 +100,69 @@ def test_as_much_of_the_motion_is_reached_as_the_component_that_fails_reaches():
     assert (whole.reached, whole.steps) == (own["bar"].reached, own["bar"].steps)
 
 
+def both_move(bar, ring) -> tuple[BoundarySpec, ...]:
+    """The wall of the ring moves, too, within a fixed outer side."""
+    bar, ring = (dataclasses.replace(spec, motion=own) for spec, own in ((BAR[0], bar), (RING[0], ring)))
+    return bar, *BAR[1:], ring, dataclasses.replace(RING[1], kind=Kind.FIXED), RING[2], *FIXED
+
+
+def test_what_is_said_of_components_is_joined():
+    specs = both_move(turning(75.0), turning(120.0, center=(1.5, 0.7, 0.0)))
+    whole = deform(GRID, case(specs, Options("tfi"), BY_PREFIX), steps=1)
+    single = deform(alone(GRID, "bar"), case(specs[:3], Options("tfi")), steps=1)
+    np.testing.assert_array_equal(part_of(whole.grid, "bar"), single.grid.points)
+    names, (_, *results) = zip(*whole.components, strict=True)
+    assert names == ("bg", "bar", "ring")
+    assert (results[0].attempts, results[0].repair.nodes) == (single.attempts, single.repair.nodes)
+    said = [(f"component {name!r}: {text}", f"{name}: {kind_of(text)}")
+            for name, own in zip(names[1:], results, strict=True) for text in own.warnings]  # fmt: skip
+    assert [(text, kind_of(text)) for text in whole.warnings] == said
+    assert len(said) == 2
+    assert whole.attempts == results[0].attempts + results[1].attempts
+    assert len(whole.attempts) == 4
+    one, two = (own.repair for own in results)
+    assert one.invalid < two.invalid
+    for name, total in (("invalid", sum), ("weak", sum), ("nodes", sum), ("newton_steps", sum), ("max_movement", max)):
+        assert getattr(whole.repair, name) == total((getattr(one, name), getattr(two, name)))
+    assert {"prepare", "apply", "quality", "repair"} <= set(whole.timing.seconds)
+
+
+def test_what_a_method_prepared_on_all_components_gives_is_that_of_each():
+    specs = both_move(turning(180.0), turning(180.0, center=(1.5, 0.7, 0.0)))
+    whole = set_up(GRID, case(specs, components=BY_PREFIX)).undeformed
+    method, at, random = whole.prepare(Options()), told(whole), np.random.default_rng(1)
+    derivative, change = method.linearised(at), random.standard_normal(at.shape)
+    weight = random.standard_normal(GRID.points.shape)
+    applied, moved, gradient = method.apply(at), derivative.push(change), derivative.pull(weight.copy())
+    warnings, kinks = whole.prepare(Options("tfi")).warnings_for(at, 0.5 * at), 0
+    for name in ("bar", "ring"):
+        (numbers,) = (each.numbers for each in whole.components if each.name == name)
+        rows = np.isin(whole.source_numbers, numbers)
+        single = set_up(alone(GRID, name), case([each for each in specs if each.name.startswith(name)])).undeformed
+        prepared, own = single.prepare(Options()), single.prepare(Options()).linearised(at[rows])
+        np.testing.assert_array_equal(part_of(GRID, name, applied), prepared.apply(at[rows]))
+        np.testing.assert_array_equal(part_of(GRID, name, moved), own.push(change[rows]))
+        np.testing.assert_array_equal(gradient[rows], own.pull(part_of(GRID, name, weight)))
+        kinks, gradient[rows] = kinks + sum(own.kinks.values()), 0.0
+        (text,) = single.prepare(Options("tfi")).warnings_for(at[rows], 0.5 * at[rows])
+        assert warnings.pop(0) == f"component {name!r}: {text}"
+    for rest in (part_of(GRID, "bg", moved), part_of(GRID, "bg", applied), gradient, warnings):
+        assert not np.any(rest)
+    assert sum(derivative.kinks.values()) == kinks > 0
+
+    def one(result, method, displacement):
+        return method.linearised(displacement), result
+
+    results = SimpleNamespace(components=[("bg", "?"), ("bar", ""), ("ring", "why")])
+    found, reason = method.differentiated(results, at, one)
+    np.testing.assert_array_equal(found.push(change), moved)
+    assert reason == "component 'ring': why"
+
+
 def test_invalid_cells_are_listed_with_the_walls_of_their_own_component_and_the_worst_first():
     """The ring comes after the bar, and has the worst cell."""
-    turned = {"bar": turning(75.0), "ring": turning(150.0, center=(1.5, 0.7, 0.0))}
-    specs = [dataclasses.replace(s, motion=turned[s.name]) if s.name in turned else s for s in BAR]
-    ring = [BoundarySpec("ring", ("ring.*.jmin",), Kind.MOVING, None, turned["ring"])]
-    ring.append(BoundarySpec("ring far", ("ring.*.jmax",), Kind.FIXED))
-    result = deform(GRID, case((*specs, *ring, RING[2], *FIXED), components=BY_PREFIX, mode="off"))
+    specs = both_move(turning(75.0), turning(150.0, center=(1.5, 0.7, 0.0)))
+    result = deform(GRID, case(specs, components=BY_PREFIX, mode="off"))
     worst = result.assessment.after.worst["min_relative_jacobian"]
     listed = result.assessment.invalid
     assert {(cell.block.split(".")[0], cell.nearest_patch) for cell in listed} == {("bar", "bar"), ("ring", "ring")}
@@ -127,11 +184,14 @@ def test_components_may_pass_through_each_other_but_not_through_themselves():
     assert contact is not None
     assert {name for crossing in contact.crossings for name in crossing.patches} <= {"bar", "bar far"}
     # The ring, which comes later, meets itself earlier.
-    both = (dataclasses.replace(RING[0], motion=constant(5.0, 0.0, 0.0)), dataclasses.replace(RING[1], kind=Kind.FIXED))
-    setup = set_up(GRID, case((out, *BAR[1:], *both, RING[2], *FIXED), components=BY_PREFIX))
+    both = both_move(out.motion, constant(5.0, 0.0, 0.0))
+    setup = set_up(GRID, case(both, components=BY_PREFIX))
     earlier = setup.undeformed.contact(setup.motion(0.0))
     assert earlier.fraction < contact.fraction
     assert {name for crossing in earlier.crossings for name in crossing.patches} <= {"ring", "ring far"}
+    setup = set_up(GRID, case(both_move(constant(1.6, 0.0, 0.0), constant(2.0, 0.0, 0.0)), components=BY_PREFIX))
+    found = [(each.patches, each.count) for each in setup.undeformed.crossings(setup.motion(0.0)(1.0))]
+    assert found == [(("ring", "ring far"), 15), (("bar", "bar far"), 9)]
 
 
 def test_nodes_at_one_place_belong_to_one_component_only():
@@ -168,9 +228,12 @@ def test_levels_of_a_series_are_those_of_each_component():
         ({"bar": ["bra.*"], "rest": ["*"]}, "'bra.*' of 'bar' matches no block"),
         ({"all": ["*"]}, "expected two or more"),
         ({"all": ["*"], "bar": ["bar.*"]}, "all blocks of 'bar' belong to components named before"),
-        ({"one": ["bar.1", "bg.*", "ring.*"], "rest": ["*"]}, "neighbours with common faces"),
+        (
+            {"one": ["bar.1", "bg.*", "ring.*"], "rest": ["*"]},
+            "bar.1 of 'one' and bar.4 of 'rest' are neighbours with common faces (12 between",
+        ),
     ],
 )
 def test_components_that_do_not_fit_are_refused(components, message):
-    with pytest.raises(CaseError, match=message.replace("*", r"\*")):
+    with pytest.raises(CaseError, match=re.escape(message)):
         set_up(GRID, Case(BAR + RING + FIXED, components=components))
