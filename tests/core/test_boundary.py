@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 from cases import apply, body_specs, constant, formulas, problem_of, turning
-from grids import frame, frame_2d, polar
+from grids import frame, frame_2d, permuted, polar
 
 from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind
 from meshdeform_core.boundary.classification import prescribed_displacement, with_plates
@@ -57,18 +57,28 @@ def test_patterns(pattern, quads):
 @pytest.mark.parametrize(
     ("pattern", "message"),
     [
-        ("wing", "matches no patch, family or block face"), ("blok1.imin", "did you mean 'block1.imin'"),
-        ("block1.imax", "shared with other blocks"), ("block1.imin[1:99,*]", "outside the face"),
-        ("block1.imin[3,*]", "not a range"), ("block1.imin[0:2,*]", "outside the face"),
-        ("block1.imin[1:2]", "expected two"),
-        ("block1.imin[a:b,*]", "not a range"), ("block1.imin[2:2,*]", "contains no cell face"),
-        ("block9.imin", "matches no patch"),
-        ("", "matches no patch"),
+        ("wing", "no patch, family or block face; the grid has no named patches, block faces are .* like block1.imin$"),
+        ("blok1.imin", "'blok1.imin' matches no patch, .*; did you mean 'block1.imin'"),
+        ("block1.imax", "'block1.imax' selects only faces that are shared with other blocks; expected"),
+        ("block1.imin[1:99,*]", "on block1: range '1:99' lies outside the face; expected 1 <= first <= last <= 5$"),
+        ("block1.imin[*,0:2]", "range '0:2' lies outside the face; expected 1 <= first <= last <= 4$"),
+        ("block1.imin[3:2,*]", "range '3:2' lies outside"), ("block1.imin[3,*]", "'3' is not a range of nodes;"),
+        ("block1.imin[1:2]", r"on block1: window \[1:2\] has 1 ranges; expected two, like \[1:65,\*\]$"),
+        ("block1.imin[a:b,*]", "'a:b' is not a range"), ("block1.imin[2:2,*]", "contains no cell face"),
+        ("block9.imin", "matches no patch"), ("", "matches no patch"),
     ],
 )  # fmt: skip
 def test_bad_patterns(pattern, message):
-    with pytest.raises(CaseError, match=message):
+    with pytest.raises(CaseError, match=f"^boundary 'test': .*{message}"):
         select_quads(FRAME, find_topology(FRAME), [pattern], "test")
+
+
+def test_a_window_of_a_plane_grid_has_one_range():
+    for grid, name in ((frame_2d(), "block1.imin"), (permuted(frame_2d(), (2, 0, 1), (False,) * 3), "block1.jmin")):
+        one, both = ([f"{name}[{part}]"] for part in ("2:4", "*,2:4" if name.endswith("jmin") else "2:4,*"))
+        found, expected = (select_quads(grid, find_topology(grid), each, "") for each in (one, both))
+        assert len(found) == 2
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_strongest_kind_wins():

@@ -18,11 +18,11 @@ from meshdeform_formats import write_grid
 LINE = np.linspace(0.0, 1.0, 3)
 CUBE = block_around(LINE, LINE, LINE)
 NOTHING = {
-    "point": (CUBE * 0.0, "all nodes lie within 0 of"),
-    "line": (CUBE[..., :1] + np.zeros(3), "lie on a line"),
-    "plane": (CUBE * [1.0, 1.0, 0.0], "lie in a plane"),
+    "point": (CUBE * 0.0 + 1.5, r"^all nodes lie within 0 of \(1.5, 1.5, 1.5\); expected"),
+    "line": (CUBE[..., :1] + np.zeros(3), "^all nodes of the 3-D grid lie on a line; expected"),
+    "plane": (CUBE * [1.0, 1.0, 0.0], "^all nodes of the 3-D grid lie in a plane; expected"),
     "tiny": (CUBE * 1e-150, "all nodes lie within 1e-150"),
-    "2-D line": (CUBE[:, :, :1] * [1.0, 0.0, 0.0], "lie on a line"),
+    "2-D line": (CUBE[:, :, :1] * [1.0, 0.0, 0.0], "^all nodes of the 2-D grid lie on a line; expected"),
 }
 
 

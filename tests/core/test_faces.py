@@ -2,9 +2,7 @@
 
 import dataclasses
 import itertools
-import os
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,11 +18,9 @@ from meshdeform_core.grid.faces import (
     quad_sizes,
     thin_direction,
 )
+from meshdeform_core.grid.planes import plane_normal
 from meshdeform_core.grid.topology import find_topology, separated
-from meshdeform_formats import read_grid
 from meshdeform_samples import load
-
-GRIDS = Path(os.environ.get("MESHDEFORM_GRIDS", "../shared/grids"))
 
 
 def outside_of(grid):
@@ -39,19 +35,20 @@ def roles_of(grid):
 # geometry
 
 
+@pytest.mark.parametrize("make", [frame, frame_2d])
 @pytest.mark.parametrize("axes", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
 @pytest.mark.parametrize("flips", [(False, False, False), (True, False, True), (False, True, False)])
-def test_area_vectors_close_and_point_outwards(axes, flips):
-    grid = permuted(frame(), axes, flips)
+def test_area_vectors_close_and_point_outwards(make, axes, flips):
+    grid = permuted(make(), axes, flips)
     topology = find_topology(grid)
     area, height = quad_sizes(grid, topology)
     quads = np.flatnonzero(topology.external)
-    corners, outward = outward_areas(grid, topology, quads, None)
+    corners, outward = outward_areas(grid, topology, quads, plane_normal(grid))
     np.testing.assert_allclose(np.linalg.norm(outward, axis=1), area[quads])
     np.testing.assert_allclose(outward.sum(axis=0), 0.0, atol=1e-12)
-    # Gauss: the flux of the position is three times the volume, 4 x 4 - 1 x 1.
+    # Gauss: the flux of the position is three times the volume, 4 x 4 - 1 x 1, in a plane twice the area.
     flux = np.einsum("ni,ni->", corners.mean(axis=1), outward)
-    assert flux == pytest.approx(3 * 15.0)
+    assert flux == pytest.approx(grid.dimension * 15.0)
     assert (height > 0).all()
 
 
@@ -78,6 +75,41 @@ def test_pieces_are_windows_of_patches_and_of_what_is_left():
         ("hot", "1:3,1:5"), (None, "3:5,1:5")
     }  # fmt: skip
     assert sum(face.area for face in found) == pytest.approx(1.0)
+
+
+def test_a_surface_is_made_of_its_faces():
+    x, y, z = 5.0 + np.array([0.0, 0.1, 0.5, 2.0]), np.linspace(-3.0, 0.0, 4), 7.0 + np.array([0.0, 0.25, 1.0])
+    grid = Grid.from_blocks([block_around(x, y, z)])
+    whole = {side: whole_face(grid.shapes[0], 0, side) for side in Side}
+    patches = (Patch("far", (whole[Side.JMIN],), "wing", "BCFarfield"),
+               Patch("a", (whole[Side.KMIN], whole[Side.IMIN]), "wing", "BCWall"))  # fmt: skip
+    outside = outside_of(dataclasses.replace(grid, patches=patches))
+    (wing,) = (surface for surface in outside.surfaces if surface.named)
+    assert (wing.name, wing.role, wing.declared, set(wing.patches)) == ("wing", Role.WALL, True, {"far", "a"})
+    assert len(wing.patches) == 2 < len(wing.faces)
+    assert wing.area == pytest.approx(2 * 3 + 2 * 1 + 3 * 1)
+    np.testing.assert_array_equal(wing.box, [[5, -3, 7], [7, 0, 8]])
+    # Nine cells of height 0.25, six of height 1, six of height 0.1.
+    assert (wing.first_height, wing.median_height) == pytest.approx((0.1, 0.25))
+    assert sorted(wing.quads) == sorted(quad for face in wing.faces for quad in face.quads)
+    np.testing.assert_array_equal(outside.extent, [2, 3, 1])
+    assert outside.of_role(Role.WALL) == (wing,)
+
+
+@pytest.mark.parametrize(
+    ("parts", "bodies"),
+    [
+        ({"low": (Side.KMIN, 0, 4)}, set()), ({"low": (Side.KMIN, 0, 2)}, {"low"}),
+        ({"low": (Side.KMIN, 0, 2), "next": (Side.KMIN, 2, 4)}, set()),
+        ({"low": (Side.KMIN, 0, 2), "above": (Side.KMAX, 2, 4)}, {"low", "above"}),
+    ],
+)  # fmt: skip
+def test_walls_that_cover_most_of_a_plane_are_no_bodies(parts, bodies):
+    line = np.linspace(0.0, 1.0, 5)
+    grid = Grid.from_blocks([block_around(line, line, line)])
+    patches = tuple(Patch(name, (Window(0, side, (first, 0), (last, 4)),), bc_type="BCWall")
+                    for name, (side, first, last) in parts.items())  # fmt: skip
+    assert {body.name for body in outside_of(dataclasses.replace(grid, patches=patches)).bodies} == bodies
 
 
 # roles
@@ -160,22 +192,7 @@ SMALL = {"airfoil": 41, "splitter-plate": 8, "hemisphere": 8, "wing": 8, "valve"
 
 @pytest.mark.parametrize("name", SMALL)
 def test_walls_of_samples_are_found_without_their_names(name):
-    _walls_are_found(load(name).generate(SMALL[name]))
-
-
-@pytest.mark.parametrize("name", ["717_wl_L2.cgns", "nak_a_141.cgns"])
-def test_walls_of_real_grids_are_found_without_their_names(name):
-    if not (GRIDS / name).exists():
-        pytest.skip(f"{GRIDS / name} is absent (MESHDEFORM_GRIDS)")
-    grid = read_grid(GRIDS / name)
-    _walls_are_found(grid)
-    nameless = dataclasses.replace(grid, patches=())
-    declared = {s.name: s.role for s in outside_of(grid).surfaces}
-    assert Role.SYMMETRY in declared.values()
-    assert {Role.SYMMETRY, Role.END} & set(roles_of(nameless).values())
-
-
-def _walls_are_found(grid):
+    grid = load(name).generate(SMALL[name])
     declared = np.concatenate([s.quads for s in outside_of(grid).of_role(Role.WALL)])
     guessed = np.concatenate([s.quads for s in outside_of(dataclasses.replace(grid, patches=())).of_role(Role.WALL)])
     # All that is called a wall is one, and what is missed are floors, never the body that the grid surrounds.

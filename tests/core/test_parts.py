@@ -16,16 +16,15 @@ from grids import block_around, frame, frame_2d, interleaved, permuted, tapered
 from meshdeform_core.boundary import BoundarySpec, Kind, crossing
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import Case, deform, set_up
-from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.grid import Field, Grid
 from meshdeform_core.grid.selection import BY_PREFIX
-from meshdeform_core.memory import Demand, deforming
 from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.parallel import ONE_PROCESS, Nodes, WholeGridNeeded, scratch, sharing
 from meshdeform_core.parallel.scratch import Scratch
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats import grids as grid_formats
-from meshdeform_formats.grids import Layout, read_grid, write_grid
+from meshdeform_formats.grids import read_grid, write_grid
 
 METHODS = {
     "tfi": Options("tfi"),
@@ -245,13 +244,22 @@ def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
         on_ranks(2, lambda ranks: read_grid(source, ranks=ranks).block(0))
 
 
-def test_ranks_need_memory_for_their_part(small_pieces):
-    def act(ranks):
-        layout = Layout("grid.xyz", ((216, 216, 216),) * 10, FileFormat("plot3d"))
-        return Demand.of("deforming", deforming("idw-tfi"), layout, ranks=ranks).in_memory
+def test_a_whole_grid_is_divided_with_its_fields(small_pieces):
+    grid, random = frame(6, 5), np.random.default_rng(2)
+    sizes = ((b, shape) for b in (0, 3) for shape in (grid.shapes[b], (*grid.cell_shapes[b], 3)))
+    fields = tuple(Field("f", "cell" if len(size) == 4 else "node", b, random.random(size)) for b, size in sizes)
+    grid = dataclasses.replace(grid, fields=fields)
 
-    (share,) = set(on_ranks(4, act))
-    assert 0.25 * act(ONE_PROCESS) < share < 0.4 * act(ONE_PROCESS)
+    def act(ranks):
+        part = grid.divided(ranks)
+        return part.points.own, [each.own for each in part.fields], part.few(3, np.s_[1:3, :2, 4:])
+
+    points, values, few = zip(*on_ranks(3, act), strict=True)
+    np.testing.assert_array_equal(np.concatenate(points), grid.points)
+    for own, field in zip(zip(*values, strict=True), fields, strict=True):
+        np.testing.assert_array_equal(np.concatenate(own), field.values)
+    for found in few:
+        np.testing.assert_array_equal(found, grid.block(3)[1:3, :2, 4:])
 
 
 def test_ranks_share_the_test_whether_walls_cross(tmp_path, small_pieces, monkeypatch):
