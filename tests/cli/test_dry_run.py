@@ -19,11 +19,8 @@ from grids import frame
 
 from meshdeform_cli import dry_run
 from meshdeform_cli.main import run
-from meshdeform_core.grid import FileFormat
-from meshdeform_core.memory import PICTURE_BYTES, UNLIMITED, Demand, deforming, parse_memory
-from meshdeform_core.parallel import Ranks
+from meshdeform_core.memory import PICTURE_BYTES
 from meshdeform_formats import write_grid
-from meshdeform_formats.grids import Layout
 
 BILLION = 10**9
 
@@ -91,56 +88,6 @@ def test_a_series_of_a_billion_nodes_is_foretold_from_a_header(sparse, call, ben
     # Like the 604 MB that four levels of 4,578,948 nodes took, 132 bytes per node, and some for face nodes.
     assert 132 * BILLION < expected["work_bytes"] < 136 * BILLION
     assert not (tmp_path / "levels").exists()
-
-
-# Largest resident size in MB: `deform --repair off` on boxes of 1 to 1,000 cubes with so many nodes along each edge;
-# two sides slip, one moves, the others are fixed.
-MEASURED = (
-    ("tfi", 1, 67, 197), ("tfi", 1, 87, 232), ("tfi", 1, 126, 361), ("tfi", 1, 271, 1691), ("tfi", 1000, 13, 446),
-    ("idw", 1, 126, 376), ("idw-tfi", 1, 67, 205), ("idw-tfi", 1, 271, 1557), ("idw-tfi", 10, 126, 1654),
-    ("idw-tfi", 1000, 9, 318), ("idw-tfi", 1000, 27, 1869), ("rbf", 1, 67, 327),
-)  # fmt: skip
-
-
-def boxes(method: str, blocks: int, side: int, **more) -> Demand:
-    layout = Layout("grid.xyz", ((side,) * 3,) * blocks, FileFormat("plot3d"))
-    return Demand.of("deforming", deforming(method), layout, **more)
-
-
-@pytest.mark.parametrize(("method", "blocks", "side", "peak"), MEASURED)
-def test_memory_is_foretold(method, blocks, side, peak):
-    """Few large blocks take most while nodes move, many small ones while the faces of the result are judged."""
-    sources = 4 * side**2 if method == "rbf" else 0
-    assert boxes(method, blocks, side).foretold(UNLIMITED, sources) == (pytest.approx(1e6 * peak, rel=0.15), 0)
-
-
-def test_what_fits_is_kept_in_memory():
-    """A grid of 666,057 nodes takes less than 300 MiB, one of 20 million less than 4 GiB."""
-    assert deforming("other") == deforming("other-tfi") == deforming("rbf-tfi")
-    assert 232e6 < boxes("tfi", 1, 87).in_memory < 300 * 2**20
-    assert 1.6e9 < boxes("idw-tfi", 1, 271).in_memory < 2e9
-
-
-@pytest.mark.parametrize(
-    ("blocks", "side", "cap", "peak"),
-    [(1, 229, 1000, 682), (1, 271, 1024, 709), (10, 271, 4096, 2864), (1000, 58, 4096, 3056)],
-)
-def test_what_files_take_is_foretold(blocks, side, cap, peak):
-    """Largest resident size in MB, measured with ``idw-tfi`` under a limit in MiB, and room on the disk."""
-    memory, files = boxes("idw-tfi", blocks, side).foretold(parse_memory(f"{cap}MiB", "--max-memory"), 0)
-    assert memory == pytest.approx(1e6 * peak, rel=0.15)
-    # 624 MB were measured of 12 million nodes.
-    assert files == pytest.approx(52 * blocks * side**3, rel=0.1)
-
-
-class Four(Ranks):
-    count = 4
-
-
-@pytest.mark.parametrize(("method", "peak"), [("idw-tfi", 577), ("tfi", 1138)])
-def test_ranks_are_told_what_each_of_them_takes(method, peak):
-    """MB that the largest of four took with 12 million nodes in one block, which ``tfi`` fills as a whole."""
-    assert 0.98 < boxes(method, 1, 229, ranks=Four()).in_memory / (1e6 * peak) < 1.15
 
 
 @pytest.fixture(scope="module")

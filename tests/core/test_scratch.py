@@ -150,13 +150,6 @@ def test_a_disk_without_room_on_one_machine_is_the_error_of_all_ranks(tmp_path):
     assert f"needs files of 11.6 GiB for 3 ranks to work in; the disk of {other} has 1 MiB free" in message
 
 
-def test_two_hundred_million_nodes_in_a_thousand_blocks_fit_into_four_gibibytes():
-    side = 58
-    nodes, face_nodes = 1000 * side**3, 1000 * (side**3 - (side - 2) ** 3)
-    demand = Demand("deforming", deforming("idw-tfi"), Amounts(1, nodes, face_nodes), other_bytes=1000 * 110e3)
-    assert demand.beside_files(MemoryLimit(4 * 2**30, "--max-memory allows")) < 4 * 2**30
-
-
 STARTS = """
 import sys
 from pathlib import Path
