@@ -1,11 +1,25 @@
-"""Chunks of loops for the threads of a process."""
+"""Chunks of loops for the threads of a process; results do not depend on how much is done at a time."""
 
+import importlib
+import pkgutil
 import threading
 import time
 
+import numpy as np
 import pytest
+from cases import body_specs, turning
+from grids import frame, with_walls
 
+import meshdeform_core
+from meshdeform_core.deform import Case, set_up
+from meshdeform_core.grid.connections import find_interfaces
+from meshdeform_core.grid.faces import find_outside
+from meshdeform_core.grid.openings import find_openings
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.methods import IDW, RBF, Options
 from meshdeform_core.parallel import current_sharing, for_chunks, set_sharing, sharing, thread_count
+from meshdeform_core.quality.shape import shape_measures
+from meshdeform_core.series import Schedule, deform_series
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -47,3 +61,50 @@ def test_threads_of_a_program_do_not_change_each_others_setting():
         thread.join()
         set_sharing(threads=None)
     assert found == {"this": 3, "apart": 3, "other": 1}
+
+
+NAMES = {"_TOGETHER", "_QUADS", "_STRETCH", "_MAPPED", "_MATCHED", "_WINDOW", "_ROWS", "_FACES", "_CHUNK", "_TARGETS"}
+
+
+def outcome(options):
+    """What a series with a repair gives, on curved slip faces, and what is found in its grid."""
+    grid = with_walls(frame(4, 3))
+    x = grid.points.copy()
+    x[:, 2] += 0.15 * np.sin(1.1 * x[:, 0]) * np.cos(0.8 * x[:, 1])
+    grid = grid.moved(x)
+    setup = set_up(grid, Case(tuple(body_specs(turning("25*t"))), method=options, open_faces=True))
+    found = [
+        (level.result.grid.points.tobytes(), level.velocity.tobytes(), level.result.assessment, level.result.warnings)
+        for level in deform_series(setup, Schedule((1.0, 2.0), velocity="first"), "float64")
+    ]
+    where, outside, opened = setup.undeformed, find_outside(grid, setup.topology), grid.points.copy()
+    grid.block(1, opened)[:, -1, 1:, 1] += 0.01
+    found.append([(str(face), role) for face, role in zip(outside.faces, outside.roles, strict=True)])
+    found.append([str(each) for each in find_openings(grid.moved(opened), find_topology(grid.moved(opened)))])
+    found.append([find_interfaces(grid, setup.topology), str(shape_measures(grid))])
+    moving = setup.displacement(1.0).any(axis=1, keepdims=True)
+    found.append(where.crossings(moving * [1.7, 0.2, 0.0]))
+    assert all(map(len, found))
+    at = setup.displacement(1.0)[where.source_numbers]
+    derivative = where.prepare(options).linearised(at)
+    found.append(derivative.push(at[::-1].copy()).tobytes())
+    return found, derivative.pull(np.cos(grid.points))
+
+
+METHODS = Options("idw-tfi", idw=IDW(summation="fast")), Options("rbf-tfi", rbf=RBF(summation="fast"))
+
+
+@pytest.mark.parametrize("options", METHODS, ids=lambda each: each.name)
+def test_small_batches(options, monkeypatch):
+    expected, gradient = outcome(options)
+    modules = [
+        importlib.import_module(m.name) for m in pkgutil.walk_packages(meshdeform_core.__path__, "meshdeform_core.")
+    ]
+    sizes = [(m, name) for m in modules for name in NAMES & vars(m).keys() if getattr(m, name) >= 1000]
+    assert len(sizes) > 35
+    for each in sizes:
+        monkeypatch.setattr(*each, 37)
+    found, other = outcome(options)
+    for one, two in zip(found, expected, strict=True):
+        assert one == two
+    np.testing.assert_allclose(other, gradient, rtol=0, atol=1e-10 * np.abs(gradient).max())
