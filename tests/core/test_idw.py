@@ -15,6 +15,7 @@ from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options, make_method
+from meshdeform_core.numerics.rotation import continuous
 from meshdeform_core.repair import RepairOptions
 from meshdeform_samples import load
 from meshdeform_samples.reproduce.paper_methods import ReweightedIDW
@@ -49,13 +50,30 @@ IN_SPACE = ("none", "quaternion", "division", "blend", "lie")
     ("name", "grid"), [*((name, frame_2d(4)) for name in VARIANTS), *((name, frame(3, 2)) for name in IN_SPACE)]
 )
 def test_slow_twin(name, grid):
-    bend = body_specs(turning(25))[: 2 if grid.dimension == 3 else 1]
-    problem = problem_of(grid, bend)
-    moved = apply(Options("idw", idw=VARIANTS[name]), problem, told(problem))
+    problem = problem_of(grid, body_specs(turning(25))[: 2 if grid.dimension == 3 else 1])
+    # The body is also bent and twisted: every node of it turns by another angle.
+    at = told(problem) * (1.0 + 0.2 * np.sin(problem.source_points @ [[2.0], [1.0], [1.5]]))
+    moved = apply(Options("idw", idw=VARIANTS[name]), problem, at)
     inside = inner_nodes(problem)
     targets = inside[:: max(1, len(inside) // 12)]
-    expected = slow_idw(problem, told(problem), grid.points[targets], VARIANTS[name])
-    np.testing.assert_allclose(moved[targets], expected, atol=1e-12)
+    expected = slow_idw(problem, at, grid.points[targets], VARIANTS[name])
+    # Beside slip planes the displacement across them is less.
+    np.testing.assert_allclose(moved[targets, :2], expected[:, :2], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("angles", "expected"),
+    [
+        # Two surfaces of three nodes: one that passes half a turn, two that turn by about as much, alike or apart.
+        ([100, 179, -178, 20, 10, 0], [100, 179, 182, 20, 10, 0]), ([-120, 179, 170] * 2, [-120, -181, -190] * 2),
+        ([175, 176, 177, -179, -178, -178], [175, 176, 177, 181, 182, 182]), ([160, 160, 160, -165, -165, -165], None),
+        ([-178, 179, -179, 60, 60, 60], [-178, -181, -179, 60, 60, 60]), ([80, 70, -80, 5, 5, 5], None),
+    ],
+)  # fmt: skip
+def test_surfaces_turn_continuously_and_alike(angles, expected):
+    vectors, chain = np.radians(np.outer(angles, [0.6, 0.0, 0.8])), [(0, 1), (1, 2), (3, 4), (4, 5)]
+    found = continuous(vectors, np.array([*chain, *(pair[::-1] for pair in chain)]))
+    np.testing.assert_allclose(np.degrees(found @ [0.6, 0.0, 0.8]), expected or angles)
 
 
 @pytest.mark.parametrize("name", ["idw", "idw-tfi"])

@@ -183,12 +183,15 @@ def _node_rotation(problem, node, quads, x, y):
     for quad in quads:
         at = quad.index(node)
         neighbours |= {quad[(at + 1) % 4], quad[at - 1]}
-    angles = []
+    angles, weights = [], []
     for other in neighbours:
-        arm, target = first @ (x[other] - x[node]), y[other] - y[node]
+        arm, target = (_unit(v) for v in (first @ (x[other] - x[node]), y[other] - y[node]))
         arm, target = (v - normals[1] * (normals[1] @ v) for v in (arm, target))
         angles.append(np.arctan2(normals[1] @ np.cross(arm, target), arm @ target))
-    return Rotation.from_rotvec(normals[1] * np.mean(angles)).as_matrix() @ first
+        # Edges steeper than 45 degrees count less.
+        part = min(1.0, 4.0 * (arm @ arm) * (target @ target))
+        weights.append(10.0 * part**3 - 15.0 * part**4 + 6.0 * part**5)
+    return Rotation.from_rotvec(normals[1] * np.average(angles, weights=weights)).as_matrix() @ first
 
 
 def smoothed(problem, turns, rounds):
