@@ -77,21 +77,6 @@ caching._CacheLocator.ensure_cache_path = refuse
     assert run(tmp_path, sealed + CALLS) == ["0", "0", "0"]
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(240)
-def test_a_process_that_dies_changes_nothing(tmp_path):
-    broken = """
-from meshdeform_core.parallel import loops; loops.usable_cores = lambda: 3
-import subprocess
-class Broken(subprocess.Popen):
-    def __init__(self, arguments, **options):
-        super().__init__([arguments[0], "-c", "import time; time.sleep(3)"], **options)
-subprocess.Popen = Broken
-"""
-    own, expected, _ = map(int, run(tmp_path, broken + CALLS))
-    assert own == expected == 3
-
-
 def test_all_loops_are_compiled_once_each(monkeypatch):
     monkeypatch.setattr(jit, "usable_cores", lambda: 1)
     compiled, missing = [], list("abcdefgh")
@@ -156,25 +141,6 @@ def test_a_level_that_is_unknown_or_above_this_processor_is_refused(monkeypatch,
     monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: {"sse2": True, "avx2": False})
     with pytest.raises(CaseError, match=problem):
         processor.choose_processor()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(240)
-def test_loops_for_a_level_are_found_by_every_machine_and_others_keep_their_own(tmp_path):
-    """Two machines of different processors share a folder of loops."""
-    pretend = """
-import llvmlite.binding as binding
-features = binding.get_host_cpu_features()
-binding.get_host_cpu_name = lambda: {name!r}
-"""
-    this, other = (pretend.format(name=name) for name in ("skylake", "haswell"))
-    level = {"MESHDEFORM_CPU": "x86-64-v2"}
-    run(tmp_path, this + CALLS, **level)
-    assert run(tmp_path, other + CALLS, **level)[0] == "0"
-    # Without the level, each has loops of its own.
-    assert run(tmp_path, this + CALLS)[1] == "3"
-    assert run(tmp_path, other + CALLS)[1] == "3"
-    assert run(tmp_path, this + CALLS)[1] == "0"
 
 
 RUNS = """

@@ -103,6 +103,7 @@ def test_two_dimensional_grid():
 
 
 def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
+    assert make_method(Options("idw")).prepare(problem).account.settings["summation"].value == "exact"
     options = Options("idw", idw=IDW(summation="fast", summation_tolerance=1e-3))
     exact = apply(Options("idw", idw=IDW(summation="exact")), problem, told(problem))
     monkeypatch.setattr(idw_sums, "SHARE", 1e6)
@@ -121,11 +122,6 @@ def test_errors_are_searched_where_their_bounds_are_largest():
     risk, samples = np.random.default_rng(0).random(200), np.arange(1800).reshape(200, 9)
     found = doubtful(np.zeros((2000, 3)), SimpleNamespace(samples=samples, every=np.array([1900])), risk)
     assert set(found) == {*samples[np.argsort(-risk)[:64]].ravel(), 1900}
-
-
-def test_small_cases_are_summed_exactly(problem):
-    prepared = make_method(Options("idw")).prepare(problem)
-    assert prepared.account.settings["summation"].value == "exact"
 
 
 def radial_sums_at(fast, coefficients, targets, tolerance):

@@ -133,15 +133,6 @@ def test_greedy_correction_lands_exactly_and_continuously(error):
     assert np.abs(moved - everything)[inside].max() < 0.2 * scale
 
 
-def test_a_tolerance_that_no_centre_can_reach_is_a_warning():
-    problem = problem_of(frame(3, 2), body_specs(turning(25)))
-    options = RBF(basis="ctps-c1", radius=6.0, greedy="hybrid", greedy_tolerance=1e-30)
-    prepared = make_method(Options("rbf", rbf=options)).prepare(problem)
-    prepared.apply(told(problem))
-    assert any(f"greedy reduction stopped with {len(problem.source_points)} points" in text
-               for text in prepared.account.warnings)  # fmt: skip
-
-
 def test_thin_plate_splines_cannot_be_reduced():
     with pytest.raises(MethodError, match=r"thin plate spline.*wendland-c2"):
         RBF(basis="tps", greedy="hybrid")
@@ -355,18 +346,3 @@ def test_little_memory_is_refused_and_changes_no_sums(nested):
         solved(points, limit=KrylovSolver.memory(3000) + 10_000)
     with pytest.raises(MethodError, match=r"3,000 centres needs about .*the machine has"):
         solved(100 * points, "wendland-c2", 5.0, limit=KrylovSolver.memory(3000) + 10_000)
-
-
-@pytest.mark.slow
-def test_solutions_do_not_depend_on_those_before(nested, monkeypatch):
-    """The first of them makes products finer, which the others must not profit from."""
-    monkeypatch.setattr(krylov, "_FINER", 1e3)
-    points = sphere(3000)
-    one, two = bend(points), 1e-3 * bend(points)[:, ::-1].copy()
-    system, fresh = solved(points)[0], solved(points)[0]
-    assert len(system._krylov.product._made) > 1
-    for given in (two, one, two):
-        found, account = system.solve(given, Account(), None), Account()
-        np.testing.assert_array_equal(found[0], fresh.solve(given, account, None)[0])
-        other = RadialSystem(RBF(solver="krylov", tolerance=1e-6), Centres.of(points, None))
-        np.testing.assert_array_equal(found[0], other.solve(given, account, None)[0])
