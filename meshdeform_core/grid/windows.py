@@ -155,7 +155,7 @@ def end_planes(grid: Grid, topology: Topology) -> list[int]:
         left = [block for block in left if block not in decided]
         known = np.concatenate([known, *(edges_across(block, thin[block][0]) for block in decided)])
         for block in left:
-            thin[block] = [axis for axis in thin[block] if np.isin(edges_across(block, axis), known).any()]
-    if not all(thin):
-        return []
+            # Blocks whose neighbours are not decided yet wait for these.
+            some = [axis for axis in thin[block] if np.isin(edges_across(block, axis), known).any()]
+            thin[block] = some or thin[block]
     return [6 * block + side for block, axes in enumerate(thin) for axis in axes for side in (2 * axis, 2 * axis + 1)]

@@ -64,8 +64,8 @@ def test_the_ends_of_one_layer_are_those_of_neighbours_where_a_block_leaves_them
     plate = block_around(line, line, thin)
     strips = [block_around(thin * 2.5, n + line, thin) for n in (1, 2)]
     found = [end_planes(grid, find_topology(grid)) for grid in map(Grid.from_blocks, (
-        [plate], [strips[0], plate], [plate, strips[1]], strips[:1], [plate, ONE.block(0) + 5.0]))]  # fmt: skip
-    assert found == [[4, 5], [4, 5, 10, 11], [], [], []]
+        [plate], [*strips, plate], [plate, strips[1]], strips[:1], [plate, ONE.block(0) + 5.0]))]  # fmt: skip
+    assert found == [[4, 5], [4, 5, 10, 11, 16, 17], [], [], []]
 
 
 def test_what_is_wrong_with_a_connection_is_told_with_its_size():
