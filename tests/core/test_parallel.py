@@ -24,19 +24,22 @@ from meshdeform_core.series import Schedule, deform_series
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_an_error_ends_the_loop_when_no_chunk_runs_any_more(threads):
-    begun, ended = [], []
+    begun, ended, told, later = [], [], [], threading.Event()
 
     def work(lo, hi):
         begun.append(lo)
-        if lo == 5:
-            raise ValueError("chunk 5")
+        # Chunk 6 fails before chunk 5, if another thread has begun it; the error is that of the first chunk.
+        if (later.set() if lo == 6 else lo == 5 and later.wait(0.1)) or lo in (5, 6):
+            raise ValueError(f"chunk {lo}")
         time.sleep(1e-2)
         ended.append(lo)
 
     with pytest.raises(ValueError, match="chunk 5"):
         for_chunks(work, 1000, 1, threads=threads)
     assert len(begun) < 500
-    assert sorted(begun) == sorted([*ended, 5])
+    assert sorted(begun) == sorted([*ended, *({5, 6} & set(begun))])
+    for_chunks(lambda *_: time.sleep(1e-2), 10, 4, lambda *each: told.append(each), threads)
+    assert (told, told[-1]) == (sorted(told), (10, 10))
 
 
 def test_threads_of_a_program_do_not_change_each_others_setting():
