@@ -17,6 +17,7 @@ from meshdeform_core.grid.faces import find_outside
 from meshdeform_core.grid.openings import find_openings
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import IDW, RBF, Options
+from meshdeform_core.numerics.geometry import coincidence
 from meshdeform_core.parallel import current_sharing, for_chunks, set_sharing, sharing, thread_count
 from meshdeform_core.quality.shape import shape_measures
 from meshdeform_core.series import Schedule, deform_series
@@ -66,7 +67,7 @@ def test_threads_of_a_program_do_not_change_each_others_setting():
     assert found == {"this": 3, "apart": 3, "other": 1}
 
 
-NAMES = {"_TOGETHER", "_QUADS", "_STRETCH", "_MAPPED", "_MATCHED", "_WINDOW", "_ROWS", "_FACES", "_CHUNK", "_TARGETS"}
+BATCHES = "_TOGETHER _QUADS _STRETCH _MAPPED _MATCHED _WINDOW _ROWS _FACES _CHUNK _TARGETS _MANY"
 
 
 def outcome(options):
@@ -85,8 +86,7 @@ def outcome(options):
     found.append([(str(face), role) for face, role in zip(outside.faces, outside.roles, strict=True)])
     found.append([str(each) for each in find_openings(grid.moved(opened), find_topology(grid.moved(opened)))])
     found.append([find_interfaces(grid, setup.topology), str(shape_measures(grid))])
-    moving = setup.displacement(1.0).any(axis=1, keepdims=True)
-    found.append(where.crossings(moving * [1.7, 0.2, 0.0]))
+    found.append(where.crossings(setup.displacement(1.0).any(axis=1, keepdims=True) * [1.7, 0.2, 0.0]))
     assert all(map(len, found))
     at = setup.displacement(1.0)[where.source_numbers]
     derivative = where.prepare(options).linearised(at)
@@ -100,13 +100,13 @@ METHODS = Options("idw-tfi", idw=IDW(summation="fast")), Options("rbf-tfi", rbf=
 @pytest.mark.parametrize("options", METHODS, ids=lambda each: each.name)
 def test_small_batches(options, monkeypatch):
     expected, gradient = outcome(options)
-    modules = [
-        importlib.import_module(m.name) for m in pkgutil.walk_packages(meshdeform_core.__path__, "meshdeform_core.")
-    ]
-    sizes = [(m, name) for m in modules for name in NAMES & vars(m).keys() if getattr(m, name) >= 1000]
+    found = pkgutil.walk_packages(meshdeform_core.__path__, "meshdeform_core.")
+    modules = [importlib.import_module(module.name) for module in found]
+    sizes = [(m, name) for m in modules for name in BATCHES.split() if getattr(m, name, 0) >= 1000]
     assert len(sizes) > 35
-    for each in sizes:
-        monkeypatch.setattr(*each, 37)
+    # Many different rows have the same key, too.
+    for *each, value in [*((*each, 37) for each in sizes), (coincidence, "mixed", lambda rows: rows.sum(axis=1) % 37)]:
+        monkeypatch.setattr(*each, value)
     found, other = outcome(options)
     for one, two in zip(found, expected, strict=True):
         assert one == two
