@@ -140,6 +140,13 @@ def with_walls(grid: Grid) -> Grid:
     return dataclasses.replace(grid, patches=patches)
 
 
+def waved(grid: Grid) -> Grid:
+    """The grid with all nodes moved by a smooth function."""
+    x = grid.points
+    shift = 0.05 * np.sin(2 * x[:, [1, 2, 0]] + x)
+    return grid.moved(x + shift * (np.ptp(x, axis=0) > 0))
+
+
 def tapered(*size: int) -> Grid:
     """A frame that narrows along z, so that it is no extrusion."""
     grid = frame(*size)

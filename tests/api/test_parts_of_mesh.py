@@ -11,6 +11,7 @@ from grids import frame_2d, tapered
 import meshdeform as md
 from meshdeform import tasks
 from meshdeform_core.parallel import ONE_PROCESS
+from meshdeform_core.velocity import swept_volumes
 
 MEASURES = "f_skew", "f_skew_min", "scaled_jacobian_min", "volume"
 
@@ -178,6 +179,16 @@ def test_swept_volumes_and_gradients_of_quality_in_parts(source, plane, tmp_path
     asked = [*itertools.product(MEASURES, [None]), ("volume", [2, 0]), ("f_skew_min", [1])]
     expected = [step.quality_gradient(name, 50.0, blocks) for name, blocks in asked]
     swept = step.swept_volumes(mesh.grid)
+    whole, start = step.result.setup.grid, mesh.grid.core.points
+    for faces, shape, every in zip(
+        swept, whole.shapes, swept_volumes(whole, start, step.grid.core.points), strict=True
+    ):
+        every = [each for each, n in zip(every, shape, strict=True) if n > 1]
+        assert all(map(np.array_equal, faces, [each[:, :, 0] for each in every] if plane else every))
+    assert all(np.abs(each).max() < 1e-12 for faces in step.swept_volumes(step) for each in faces)
+    for wrong in (3, md.Grid([block[:-1] for block in mesh.grid.blocks])):
+        with pytest.raises(md.GridError):
+            step.swept_volumes(wrong)
     poison_parts(monkeypatch)
 
     def act(ranks):

@@ -1,30 +1,25 @@
-"""Measures cell by cell: against the totals of the report and against plain geometry."""
+"""Measures cell by cell, against the totals of the report and against plain geometry, with their gradients; two grids
+compared node by node."""
 
 import numpy as np
 import pytest
-from grids import block_around, frame, frame_2d, polar
+from cases import STILL
+from grids import block_around, frame, frame_2d, polar, waved, with_walls
 
 from meshdeform_cli.looking import MEASURES
 from meshdeform_core.boundary import BoundarySpec, Kind, classify
-from meshdeform_core.boundary.motions.expression import expression
-from meshdeform_core.boundary.motions.motion import Displace, Motion
+from meshdeform_core.errors import CaseError, GridError
 from meshdeform_core.grid import Grid, Side
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.quality import Original, assess
+from meshdeform_core.quality import Original, assess, gradients
+from meshdeform_core.quality.cells import corner_nodes, places
+from meshdeform_core.quality.difference import compare_points
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
+from meshdeform_core.quality.gradients import quality_gradient
 from meshdeform_core.quality.listed import Worst
 from meshdeform_core.quality.shape import shape_measures
 from meshdeform_core.quality.validity import EXTREMES
 from meshdeform_core.quality.walls import wall_cells
-
-STILL = Motion((Displace(tuple(expression("0", frozenset()) for _ in range(3))),), {})
-
-
-def waved(grid: Grid) -> Grid:
-    """The grid with all nodes moved by a smooth function."""
-    x = grid.points
-    shift = 0.05 * np.sin(2 * x[:, [1, 2, 0]] + x)
-    return grid.moved(x + shift * (np.ptp(x, axis=0) > 0))
 
 
 def everything(fields: CellFields, measure: str) -> np.ndarray:
@@ -113,8 +108,9 @@ def test_wall_measures_are_those_of_the_report(make):
 def test_an_undeformed_grid_has_no_worst_change():
     grid = frame()
     topology = find_topology(grid)
-    worst = assess(Original(grid, topology), grid.points + 0.0, None).after.worst
-    assert set(worst) == EXTREMES.keys() - {"volume_ratio_min", "volume_ratio_max"}
+    found = assess(Original(grid, topology), grid.points + 0.0, None)
+    assert found.before.min_relative_jacobian == found.after.min_relative_jacobian == 1.0
+    assert set(found.after.worst) == EXTREMES.keys() - {"volume_ratio_min", "volume_ratio_max"}
 
 
 def test_an_orthogonal_wall_has_no_deviation_and_stretched_cells_a_height_ratio():
@@ -145,4 +141,127 @@ def test_displacement_and_distance():
     grid = frame()
     fields = CellFields(grid.moved(grid.points + [3.0, 0.0, 4.0]), find_topology(grid), grid, np.arange(5))
     np.testing.assert_allclose(everything(fields, "displacement"), 5.0)
-    assert everything(fields, "wall_distance").min() > 0
+    x, walls = fields.grid.points, fields.topology.first[np.unique(fields.topology.quads.corners[fields.walls])]
+    middles = x[corner_nodes(grid, *places(grid, np.arange(grid.n_cells)))].mean(axis=1)
+    nearest = np.linalg.norm(middles[:, None] - x[walls], axis=2).min(axis=1)
+    np.testing.assert_allclose(everything(fields, "wall_distance"), nearest, rtol=1e-12)
+
+
+def test_bad_cells_and_what_measures_require():
+    """Two nodes of the second block are swapped; patches that the reference lacks come from the grid."""
+    plain, grid = frame(3, 2), with_walls(frame(3, 2))
+    x = grid.points.copy()
+    block = grid.block(1, x)
+    block[1, 1, 1], block[2, 1, 1] = block[2, 1, 1].copy(), block[1, 1, 1].copy()
+    alone, fields = CellFields.of(grid.moved(x)), CellFields.of(grid.moved(x), plain)
+    box = slice(1, 3), slice(0, 2), slice(0, 2)
+    expected = np.zeros((3, 4, 2), dtype=bool)
+    expected[1, :2] = True
+    for each in (alone, fields):
+        found = [each.of_all(lambda own, n=n, each=each: each.bad(n, own), n, each.whole(n)) for n in range(8)]
+        np.testing.assert_array_equal(found[1], expected)
+        assert sum(part.sum() for part in found) == 4
+        np.testing.assert_array_equal(each.bad(1, box), expected[box])
+    listed, jacobian = assess(Original(plain, find_topology(plain)), x, None).invalid, fields.values("jacobian", 1, box)
+    assert sorted(cell.min_jacobian for cell in listed) == pytest.approx(sorted(jacobian[expected[box]]))
+    assert {surface.name for surface in fields.outside.surfaces} == {"body", "outer", "span"}
+    cube = CellFields.of(Grid.from_blocks([block_around(*[np.arange(4.0)] * 3)]))
+    for where, measure, message in (
+        (alone, "f_skev", "measure 'f_skev' is unknown; did you mean 'f_skew'?"),
+        (alone, "displacement", "displacement needs the undeformed grid; give --reference"),
+        (cube, "wall_distance", "wall_distance: no wall is known; see `meshdeform info`"),
+    ):
+        with pytest.raises(CaseError) as caught:
+            where.values(measure, 0, where.whole(0))
+        assert str(caught.value) == message
+
+
+def test_two_grids_are_compared_block_by_block():
+    one = frame_2d(2)
+    x = one.points.copy()
+    x[:3] += [[3.0, 0.0, 4.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.0]]
+    x[one.offsets[2] + 1] -= [0.0, 7.0, 0.0]
+    found, sizes = compare_points(one, one.moved(x)), np.diff(one.offsets)
+    assert (found.largest, found.where, found.differing_nodes, found.nodes) == (7.0, "block3 (1, 2, 1)", 3, one.n_nodes)
+    assert found.rms == pytest.approx(np.sqrt(78.0 / one.n_nodes))
+    assert [(part.name, part.largest) for part in found.blocks[:3]] == [
+        ("block1", 5.0),
+        ("block2", 0.0),
+        ("block3", 7.0),
+    ]
+    assert [part.rms for part in found.blocks[:3]] == pytest.approx(
+        [np.sqrt(29.0 / sizes[0]), 0.0, 7.0 / sizes[2] ** 0.5]
+    )
+    fewer = Grid.from_blocks([one.block(n) for n in range(7)])
+    other = Grid.from_blocks([*(one.block(n) for n in range(7)), one.block(6)[:-1]])
+    for grid, message in (
+        (fewer, "the first grid has 8 blocks, the second grid has 7"),
+        (other, "block8 of the first grid has 5 x 5 x 1 nodes, block 8 of the second grid has 4 x 4 x 1"),
+    ):
+        with pytest.raises(GridError) as caught:
+            compare_points(one, grid)
+        assert str(caught.value) == f"{message}; expected the same blocks in the same order"
+
+
+@pytest.fixture(scope="module", params=["3-D", "2-D"])
+def measured(request):
+    """A deformed grid with one left-handed block, and the measure of it, or with other points."""
+    grid = frame(3, 2) if request.param == "3-D" else frame_2d(5)
+    blocks = [grid.block(number) for number in range(grid.n_blocks)]
+    grid = waved(Grid.from_blocks([blocks[0][::-1].copy(), *blocks[1:]]))
+    topology = find_topology(grid)
+    return grid, lambda measure, sharpness=40.0, blocks=None, x=grid.points: quality_gradient(
+        grid, x, topology, measure, sharpness, blocks
+    )
+
+
+@pytest.mark.parametrize("measure", gradients.MEASURES)
+@pytest.mark.parametrize("blocks", [None, [2, 0, 2]])
+def test_central_differences(measured, measure, blocks, monkeypatch):
+    monkeypatch.setattr(gradients, "_CELLS", 30)
+    grid, value = measured
+    change = np.random.default_rng(2).standard_normal(grid.points.shape) * (np.ptp(grid.points, axis=0) > 0)
+    gradient = value(measure, blocks=blocks)[1]
+    told, size = (gradient * change).sum(), np.abs(gradient * change).sum()
+    errors = []
+    for h in (1e-5, 2.5e-6):
+        one, two = (value(measure, 40.0, blocks, grid.points + s * h * change)[0] for s in (1, -1))
+        errors.append(abs((one - two) / (2 * h) - told) / size)
+    assert errors[1] < 1e-6
+    assert errors[1] < errors[0] / 12 or errors[1] < 1e-9
+    moved = [grid.block(block, gradient).any() for block in range(grid.n_blocks)]
+    assert moved == [blocks is None or block in blocks for block in range(grid.n_blocks)]
+
+
+@pytest.mark.parametrize("blocks", [None, [2, 0, 2]])
+def test_values_by_their_definitions(measured, blocks):
+    grid, value = measured
+    fields, some = CellFields(grid, find_topology(grid)), set(range(grid.n_blocks) if blocks is None else blocks)
+    skew, volume = (
+        np.concatenate([fields.values(name, block, fields.whole(block)).ravel() for block in some])
+        for name in ("f_skew", "volume")
+    )
+    assert value("volume", blocks=blocks)[0] == pytest.approx(volume.sum(), rel=1e-12)
+    assert value("f_skew", blocks=blocks)[0] == pytest.approx(1.0 / np.mean(1.0 / skew), rel=1e-12)
+    smooth = -np.log(np.exp(-30.0 * skew).sum()) / 30.0
+    assert value("f_skew_min", 30.0, blocks)[0] == pytest.approx(smooth, rel=1e-12)
+    scaled = assess(Original(grid, find_topology(grid)), grid.points, None).after.min_scaled_jacobian
+    sharp, soft = (value("scaled_jacobian_min", sharpness)[0] for sharpness in (1e6, 30.0))
+    corners = 2**grid.dimension * grid.n_cells
+    assert scaled - np.log(corners) / 1e6 <= sharp <= scaled
+    assert scaled - np.log(corners) / 30.0 <= soft < sharp
+
+
+def test_refusals(measured):
+    grid, value = measured
+    for blocks in ([], [-1], [grid.n_blocks], [0, 99]):
+        with pytest.raises(GridError, match=rf"blocks = .*; expected numbers from 0 to {grid.n_blocks - 1}$"):
+            value("volume", blocks=blocks)
+    with pytest.raises(GridError, match=r"no quality measure 'beauty'; expected one of f_skew, f_skew_min, "):
+        value("beauty")
+    x = grid.points.copy()
+    x[grid.offsets[1] - 1] += 9.0 * (x[0] - x[grid.offsets[1] - 1])
+    for measure in ("f_skew", "f_skew_min"):
+        with pytest.raises(GridError, match=rf"^{measure} is zero in 1 cells"):
+            value(measure, x=x)
+    assert value("scaled_jacobian_min", x=x)[0] < 0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from cases import ALL_METHODS, apply, body_specs, constant, formulas, inner_nodes, problem_of, told, turning
-from grids import block_around, clustered, frame, frame_2d, polar
+from grids import block_around, clustered, frame, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.constraints import find_layer
@@ -189,27 +189,7 @@ def test_nodes_in_planes_lose_the_whole_component_and_those_at_walls_none():
         assert kept == 0 or np.abs(found[rows]).max() > 0.01
 
 
-@pytest.mark.parametrize(("name", "make"), [("idw", frame), ("idw-tfi", frame_2d), ("rbf", frame)])
-def test_motions_along_the_planes_are_left_as_they_are(name, make, monkeypatch):
-    grid = make()
-    problem = problem_of(grid, body_specs(turning(10))[: 3 if grid.dimension == 3 else 1])
-    found = apply(Options(name), problem, told(problem))
-    monkeypatch.setattr(BesideSlip, "apply", lambda self, out, progress: None)
-    plain = apply(Options(name), problem, told(problem))
-    # Of a linear system round-off remains in all directions.
-    np.testing.assert_allclose(found, plain, rtol=0, atol=1e-13 if name.startswith("rbf") else 0.0)
-
-
 def test_symmetry_planes_have_images_instead():
     boundary = problem_of(frame(), body_specs(SWAYING, Kind.SYMMETRY)).boundary
     assert not boundary.slip.sides
     assert sorted(plane.point[2] for plane in boundary.mirrors) == [0.0, 1.0]
-
-
-def test_exact_and_fast_sums_are_damped_alike():
-    problem = problem_of(frame(6, 6), body_specs(SWAYING))
-    exact, fast = (
-        apply(Options("idw", idw=IDW(summation=kind, summation_tolerance=1e-8)), problem, told(problem))
-        for kind in ("exact", "fast")
-    )
-    np.testing.assert_allclose(fast, exact, atol=1e-8)

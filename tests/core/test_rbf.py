@@ -197,20 +197,13 @@ def test_dependent_and_empty_columns():
     assert np.all(nothing.coefficients == 0)
 
 
-def test_duplicate_centres_share_their_value():
-    points = SETS["sphere"]
-    points = np.concatenate([points, points[:40]])
-    solver, _, _ = system(points, "tps", None)
-    found = solver.solve(bend(points), 1e-6, 60)
-    assert found.residual.max() <= 1e-6
-
-
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 61, 400])
-def test_few_centres(n):
+def test_few_and_duplicate_centres(n):
     points = np.random.default_rng(n).uniform(size=(n, 3))
-    solver, _, _ = system(points, "tps", None)
-    found = solver.solve(bend(points), 1e-10, 20)
-    assert found.residual.max() <= 1e-10
+    for centres in (points, np.concatenate([points, points[: n // 5 + 1]])):
+        solver, _, _ = system(centres, "tps", None)
+        found = solver.solve(bend(centres), 1e-10, 20)
+        assert found.residual.max() <= 1e-10
 
 
 def test_not_converging_is_a_warning():

@@ -10,7 +10,6 @@ import pytest
 from cases import body_specs, formulas, turning
 from grids import frame, frame_2d, permuted, polar
 
-import meshdeform as md
 from meshdeform_core import velocity
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.expression import expression
@@ -99,12 +98,12 @@ def bar(degrees):
 
 
 def test_repaired_levels_depend_on_the_boundary_only():
-    """Levels equal single runs, whatever came before; up and down stroke agree; the motion is smooth."""
+    """Levels equal single runs, whatever came before; up and down stroke agree; smooth, also where repairs set in."""
     setup = bar("t")
-    up = list(np.arange(49.0, 67.0, 2.0))
-    levels = levels_of(setup, Schedule(tuple(up)))
-    assert all(level.result.valid and level.result.repair.converged for level in levels)
-    for level in (levels[0], levels[5], levels[-1]):
+    levels = levels_of(setup, Schedule(tuple(np.arange(35.0, 67.0, 2.0))))
+    assert [level.result.repair is None for level in levels[:3]] == [True, True, False]
+    assert all(level.result.valid and level.result.repair.converged for level in levels[2:])
+    for level in (levels[2], levels[7], levels[-1]):
         alone = impose(setup, setup.motion(level.time), None, "float64", Timing()).grid.points
         assert np.abs(alone - level.result.grid.points).max() < 1e-7
     # Down again.
@@ -112,7 +111,8 @@ def test_repaired_levels_depend_on_the_boundary_only():
     for level, other in zip(there_and_back, (-1, -4, -7), strict=True):
         assert np.abs(level.result.grid.points - levels[other].result.grid.points).max() < 1e-7
     smooth = [level.smoothness for level in levels[2:]]
-    assert max(s.acceleration for s in smooth) < 0.5
+    assert max(s.acceleration for s in smooth) < 0.25
+    assert max(s.beyond for s in smooth) < 0.17
     assert levels[0].smoothness.velocity is None
     assert levels[1].smoothness.acceleration is None
     assert not any(s.plain for s in smooth)
@@ -139,29 +139,15 @@ def test_shortest_edges_are_those_of_all_neighbours_plane_by_plane(monkeypatch):
     monkeypatch.setattr(velocity, "_ROWS", 1)
     grid = frame()
     grid = grid.moved(shaken(grid, 0.02, 1))
+    grid.block(0)[1, 1, 1] = grid.block(0)[1, 1, 2]
     found = shortest_edges(grid)
     for b, shape in enumerate(grid.shapes):
         x, own = grid.block(b), found[grid.offsets[b] : grid.offsets[b + 1]].reshape(shape)
         for at in np.ndindex(shape):
             beside = [np.add(at, step) for step in (*np.eye(3, dtype=int), *-np.eye(3, dtype=int))]
             beside = [tuple(n) for n in beside if (n >= 0).all() and (n < shape).all()]
-            assert own[at] == pytest.approx(min(np.linalg.norm(x[n] - x[at]) for n in beside), rel=1e-12)
-
-
-@pytest.mark.slow
-def test_the_grid_does_not_jump_where_a_repair_begins():
-    """Accelerations are small, and with half the step they are a quarter, as those of smooth motions are."""
-    setup, largest = bar("t"), []
-    for step in (2.0, 1.0):
-        levels = levels_of(setup, Schedule(tuple(np.arange(20.0, 62.0 + step / 2, step))))
-        repaired = [level.result.repair is not None for level in levels]
-        assert not repaired[0]
-        assert repaired[-1]
-        assert all(level.result.valid and "jump" not in " ".join(level.result.warnings) for level in levels)
-        largest.append(max(level.smoothness.beyond for level in levels))
-    assert largest[1] < 0.2
-    # In steps of the walls, which are half as long.
-    assert largest[1] < 0.65 * largest[0]
+            lengths = [np.linalg.norm(x[n] - x[at]) for n in beside]
+            assert own[at] == pytest.approx(min(length for length in lengths if length > 0.0), rel=1e-12)
 
 
 def test_samples_between_corners_count_smoothly_from_cells_of_f_4_on():
@@ -286,22 +272,3 @@ def test_fields_at_the_first_levels():
     fields = {(f.name, f.location, f.block): f.values for f in face_fields(grid, (0.0, 0.5), points)}
     np.testing.assert_array_equal(fields["VolumeFlux", "jface", 0], fields["SweptVolume", "jface", 0] / 0.5)
     np.testing.assert_allclose(grid_velocity((0.0, 0.5), points, "swept"), (points[1] - points[0]) / 0.5)
-
-
-def test_step_gives_the_volumes_since_another_step():
-    x, y = np.meshgrid(np.linspace(0, 1, 6), np.linspace(0, 1, 5), indexing="ij")
-    grid = md.Grid([np.stack([x, y], axis=-1)])
-    mesh = md.prepare(grid, moving={"top": ["block1.jmax"]})
-    one = mesh.deform(lambda x, t: np.stack([0 * x[:, 0], 0.1 * np.sin(np.pi * x[:, 0])], axis=1))
-    two = mesh.deform(lambda x, t: np.stack([0 * x[:, 0], -0.1 * np.sin(np.pi * x[:, 0])], axis=1))
-    for step, before in ((one, mesh.grid), (two, one), (two, one.grid)):
-        ((across_i, across_j),) = step.swept_volumes(before)
-        assert across_i.shape == (6, 4)
-        assert across_j.shape == (5, 5)
-        start = before.grid if isinstance(before, md.Step) else before
-        area = [np.array(volumes(g.core, g.core.points)[0])[..., 0] for g in (start, step.grid)]
-        np.testing.assert_allclose(area[1] - area[0], np.diff(across_i, axis=0) + np.diff(across_j, axis=1), atol=1e-15)
-    with pytest.raises(md.GridError, match="expected a step or a grid"):
-        one.swept_volumes(3)
-    with pytest.raises(md.GridError):
-        one.swept_volumes(md.Grid([np.zeros((3, 3, 2)) + np.arange(3)[:, None, None]]))

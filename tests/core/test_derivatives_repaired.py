@@ -1,15 +1,13 @@
-"""``mesh.linearise`` at repaired grids: the minimum of the repair's energy is differentiated."""
-
-import dataclasses
+"""Derivatives of repaired grids: the minimum of the repair's energy is differentiated."""
 
 import numpy as np
 import pytest
+from cases import every
 from grids import frame, frame_2d
 
 import meshdeform as md
 from meshdeform.grid import wrapped
 from meshdeform_core import stepping
-from meshdeform_core.grid.parts import FileFormat
 from meshdeform_core.repair import energy, outcome, untangle
 from meshdeform_samples import load
 
@@ -109,12 +107,9 @@ def components():
 
 
 CASES["components"] = (components, 0.8, 0.0)
-SHORT = ("plane", "extruded, setting in", "periodic")
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in SHORT else pytest.mark.slow) for name in CASES]
-)
+@every(CASES, CASES.keys() - {"plane", "extruded, setting in", "periodic"})
 def test_central_differences_through_a_repair(name, converged):
     make, size, twist = CASES[name]
     mesh = make()
@@ -142,28 +137,3 @@ def test_both_modes_agree_where_many_nodes_slide_on_a_sphere():
     found = mesh.linearise(at, steps=1)
     assert found.step.repair.converged
     assert apart(found, at) < 1e-10
-
-
-def test_a_repair_that_ends_elsewhere_says_so(monkeypatch):
-    mesh = prepared(frame_2d(9), plane=True)
-    monkeypatch.setattr(untangle, "_CONVERGING", 2)
-    found = mesh.linearise(bend(mesh, 1.2), steps=1)
-    assert found.step.repair is not None
-    assert not found.step.repair.converged
-    assert not found.exact
-    assert "not the minimum" in found.reason
-    assert mesh.linearise(bend(mesh, 1.2), steps=1, repair="off").exact
-
-
-def test_coordinates_in_single_precision_are_near_enough_to_the_minimum():
-    grid = md.Grid([block.astype(np.float32) for block in wrapped(frame(5, 4)).blocks]).core
-    written = dataclasses.replace(grid, format=FileFormat("plot3d", "float32"))
-    at = bend(prepared(grid), 0.6, 0.3)
-    double, single = (md.prepare(wrapped(each), case(False, "slip")) for each in (grid, written))
-    assert single.setup.grid.precision == "float32"
-    one, two = (mesh.linearise(at, steps=1) for mesh in (double, single))
-    assert one.step.repair.converged
-    assert two.exact, two.reason
-    change = np.cos(3.0 * at)
-    one, two = flat(one.jvp(change)), flat(two.jvp(change))
-    assert 0.0 < np.abs(one - two).max() < 1e-4 * np.abs(one).max()
