@@ -197,14 +197,8 @@ CASES = {
     "formula-time-in-where": (SHIFT.replace("abs(x) < 0.51", "t < 1"), ("where", "unknown name 't'")),
     # selections
     "select-unknown": (SHIFT.replace('"*"]', '"wing"]'), ("'wing'", "no named patches", "block1.imin")),
-    "where-nan": (SHIFT.replace("abs(x) < 0.51", "sqrt(-1) > 0"), ("where", "is not a number")),
     # motions that cannot be
     "nothing-moves": ('[[boundary]]\nname = "all"\nkind = "fixed"', ("no node moves", 'kind = "moving"')),
-    "motion-nan": (moved("log(x)"), ("motion step 1", "at node block1", "check the formulas")),
-    "periodic-one-side": (
-        "[[boundary]]\nselect = ['block1.imin']\nkind = 'periodic'\n" + SHIFT,
-        ("periodic", "one side, other side"),
-    ),
     # files
     "boundary-file-missing": ("[grid]\nboundary_file = 'no.nmf'\n" + SHIFT, ("no.nmf", "No such file")),
     "boundary-file-null": ('[grid]\nboundary_file = "a\\u0000b"\n' + SHIFT, ("boundary_file", "expected a file name")),
@@ -290,7 +284,6 @@ def test_it_is_refused_with_one_message_and_nothing_is_written(name, bench, call
 
 DOUBTS = {
     "positions": (table(lambda p: p, lambda p: p), WITH_TABLE, "are they positions?"),
-    "unit": (None, (*DEFORM, "-s", "boundary=[{motion=[{translate=[1e3, 0, 0]}]}]", "--dry-run"), "size of the grid"),
     "radians": (None, (*DEFORM, "-s", "constants.turn=0.17", "--dry-run"), "degrees; angles are in degrees"),
     "turns": (None, (*DEFORM, "-s", "constants.turn=-4e3", "--dry-run"), "by -4000 degrees; its nodes come to where a"),
 }

@@ -325,7 +325,7 @@ def test_periodic_images_of_fixed_nodes_are_fixed():
 
 @pytest.mark.parametrize("sides", [1, 2])
 def test_gradients_of_given_nodes_are_the_transpose_of_their_displacements(sides):
-    """Given on one or on both sides of a period; both then share a gradient."""
+    """Given on one or on both sides of a period; both then share a gradient, along which they move alike."""
     grid, specs = sector()
     setup = set_up(grid, Case((*specs, *specs_of(("pitch", ("block1.imin", "block1.imax"), Kind.PERIODIC, None)))))
     where = grid, setup.topology, setup.boundary
@@ -335,7 +335,6 @@ def test_gradients_of_given_nodes_are_the_transpose_of_their_displacements(sides
     setup.boundary.periodic.constrain(change, np.ones(len(change), dtype=bool))
     moved, found = given_displacement(*where, nodes, change[nodes]), given_gradient(*where[::2], nodes, gradient)
     assert (found * change[nodes]).sum() == pytest.approx((gradient * moved).sum(), rel=1e-12)
-    # A displacement along the gradient moves both alike, else it were refused.
     given_displacement(*where, nodes, found)
 
 

@@ -149,11 +149,13 @@ def test_roof_with_fixed_ends_meets_the_neighbours_of_its_edge():
 def test_body_through_the_far_field(make, shift, crosses):
     """The bar is one wide, the far field two away: it touches at 1.5; from 2.5 on it lies outside as a whole."""
     span = [BoundarySpec("span", ("*.k*",), Kind.SLIP)] if make is frame else []
+    span.append(BoundarySpec("upper", ("*.imax",), Kind.FIXED, expression("x > 1.9 and y > 0.1", {"x", "y"})))
     bar = BoundarySpec("bar", ("*.i*", "*.j*"), Kind.MOVING, NEAR, constant(shift, 0, 0))
     found = contact(make(), bar, *span)
     assert (found is not None) == crosses
     if found is not None:
-        assert found.crossings[0].patches == ("(not selected)", "bar")
+        assert [each.patches for each in found.crossings] == [("(not selected)", "bar"), ("bar", "upper")]
+        assert f": from {found.fraction:.2%} of the motion onwards {found.crossings[0]}" in found.message
         assert found.fraction == pytest.approx(1.5 / shift, abs=1e-3)
         assert found.crossings[0].point[0] == pytest.approx(2.0, abs=1e-3)
         assert make is frame or found.crossings[0].point[2] == 0.0

@@ -1,19 +1,21 @@
 """Degenerate grids and motions: a message or a right result, never a traceback."""
 
-import json
+import contextlib
 
 import numpy as np
 import pytest
-from cases import formulas, turning
-from grids import block_around
+from cases import STILL, body_specs, constant, formulas, problem_of, turning
+from grids import block_around, frame
 
-from meshdeform_cli.main import run
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.motions import expression
+from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Follow, Motion
+from meshdeform_core.boundary.tables import Matching, SurfaceData
 from meshdeform_core.deform import Case, deform, set_up
-from meshdeform_core.errors import GridError, MotionError
+from meshdeform_core.errors import GridError, MeshDeformError
 from meshdeform_core.grid import Grid
-from meshdeform_formats import write_grid
+from meshdeform_core.methods import IDW, RBF, Options
+from meshdeform_core.repair import RepairOptions
 
 LINE = np.linspace(0.0, 1.0, 3)
 CUBE = block_around(LINE, LINE, LINE)
@@ -34,42 +36,92 @@ def test_grids_without_extent_are_refused(name):
         set_up(Grid.from_blocks([block]), Case((wall,)))
 
 
-@pytest.mark.parametrize("method", ["tfi", "rbf", "idw-rbf", "idw-auto"])
+@pytest.mark.parametrize("method", [*map(Options, ("tfi", "rbf", "idw-rbf")), Options("idw", idw=IDW(alpha="auto"))])
 @pytest.mark.parametrize(
     ("cells", "slip"), [((1, 1, 1), True), ((1, 4, 4), False), ((4, 4, 1), True), ((4, 1, 0), True), ((1, 1, 0), False)]
 )
-def test_tiny_grids_end_with_a_message_or_a_grid(method, cells, slip, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_tiny_grids_end_with_a_message_or_a_grid(method, cells, slip):
     lines = [np.linspace(0.0, 1.0, n + 1) if n else np.zeros(1) for n in cells]
-    blocks = [block_around(lines[0] + shift, lines[1], lines[2]) for shift in (0.0, 1.0)]
-    write_grid(Grid.from_blocks(blocks), tmp_path / "g.xyz", {"precision": "float64"})
-    faces = "'*.kmin','*.kmax'" if cells[2] else "'*.imin','*.imax'"
-    more = f",{{name='s',select=[{faces}],kind='slip'}}" if slip else ""
-    entry = f"boundary=[{{name='w',select=['*.jmin'],motion=[{{displace=['0','0.01*x','0']}}]}}{more}]"
-    auto = ["-s", 'method.idw.alpha="auto"'] if method == "idw-auto" else []
-    name = method.removesuffix("-auto")
-    code = run(["deform", "g.xyz", "-s", entry, "-m", name, *auto, "-o", "o.xyz", "--report", "r.json", "-q"])
-    assert code in (0, 2, 3)
-    if code != 2:
-        json.loads((tmp_path / "r.json").read_text(), parse_constant=lambda text: pytest.fail(f"{text} in the report"))
+    grid = Grid.from_blocks([block_around(lines[0] + shift, lines[1], lines[2]) for shift in (0.0, 1.0)])
+    ends = BoundarySpec("ends", ("*.kmin", "*.kmax") if cells[2] else ("*.imin", "*.imax"), Kind.SLIP)
+    wall = BoundarySpec("wall", ("*.jmin",), Kind.MOVING, None, formulas("0", "0.01*x", "0"))
+    with contextlib.suppress(MeshDeformError):
+        result = deform(grid, Case((wall, ends) if slip else (wall,), method=method))
+        assert np.isfinite(result.grid.points).all()
+        assert np.isfinite([result.assessment.after.f_skew.min, result.max_displacement]).all()
 
 
-def test_images_of_a_periodic_pair_must_move_alike():
-    """The moving bars at both ends of a period get different motions."""
-    line, z = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 3)
-    grid = Grid.from_blocks([block_around(line, line, z)])
-    near = expression.expression("y < 0.6", {"x", "y", "z"})
+FRAME, BAR = frame(), tuple(body_specs(constant(0.1, 0.0, 0.0)))
+NODES = np.unique(FRAME.points[np.abs(FRAME.points[:, :2]).max(axis=1) < 0.51], axis=0)
+MOVED = [SurfaceData(x, 0.0 * x, np.empty((0, 3), int), name) for x, name in ((NODES, "a.csv"), (NODES[4:], "b.csv"))]
+TWO = Motion((Follow(lambda number: MOVED[number], Matching("nearest", partial=True), (0.0, 2.0)),), {})
 
-    def case(left: str, right: str) -> Case:
-        return Case(
-            (
-                BoundarySpec("left", ("block1.imin",), Kind.MOVING, near, formulas("0", "0", left)),
-                BoundarySpec("right", ("block1.imax",), Kind.MOVING, near, formulas("0", "0", right)),
-                BoundarySpec("pair", ("block1.imin", "block1.imax"), Kind.PERIODIC),
-                BoundarySpec("rest", ("*.j*", "*.k*"), Kind.FREE),
-            )
-        )
 
-    deform(grid, case("0.01", "0.01"))
-    with pytest.raises(MotionError, match="move differently"):
-        deform(grid, case("0.01", "0.02"))
+def moved_where(text):
+    return problem_of(FRAME, [BoundarySpec("left", ("block1.i*",), Kind.MOVING, expression(text, {"x", "z"}), STILL)])
+
+
+def with_bar(motion, steps=None, time=0.0):
+    case = Case(tuple(body_specs(motion)), repair=RepairOptions("off"))
+    first, *rest = deform(FRAME, case, steps=steps, time=time).warnings
+    assert first.startswith("180 external face quads are not selected by any boundary entry; they are fixed")
+    assert first.endswith("block8.jmax (18), block2.imin (15), block4.jmin (15) and 6 more ranges")
+    return rest
+
+
+def pair(left, right):
+    """Bars at both ends of a period, which move in z."""
+    near = expression("y < 0.6", {"y"})
+    ends = [("imin", left), ("imax", right)]
+    bars = [BoundarySpec(f, (f"*.{f}",), Kind.MOVING, near, formulas("0", "0", z)) for f, z in ends]
+    period = BoundarySpec("period", ("*.imin", "*.imax"), Kind.PERIODIC)
+    return Case((*bars, period, BoundarySpec("rest", ("*.j*", "*.k*"), Kind.FREE)))
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (lambda: BoundarySpec("a", ("*",), Kind.MOVING), "boundary 'a' has no motion; expected a motion for"),
+        (lambda: BoundarySpec("a", ("*",), Kind.SLIP, None, STILL), "boundary 'a' is slip but has a motion; expected"),
+        (lambda: Case((), method="tfi"), "method = 'tfi' of a case; expected Options, like Options('idw-tfi')"),
+        (lambda: Case((*BAR, "a")), "of a case; expected BoundarySpec entries"),
+        (lambda: RepairOptions(time_limit=0.0), "time_limit = 0.0; expected seconds > 0"),
+        (lambda: Options("idw-tfi", rbf=RBF(radius=2.0)), "; it takes IDW and TFI. Leave them out"),
+        (lambda: Options("idvtfi"), "idw-idw, rbf-tfi, idw-rbf, idw-tfi; did you mean 'idw-tfi'?"),
+        (lambda: set_up(FRAME, Case(BAR[1:])), "no node moves: no boundary entry of kind moving selects any node"),
+        (lambda: with_bar(STILL, 0), 'steps = 0; expected a whole number >= 1 or "auto"'),
+        (lambda: moved_where("sqrt(0.9 - z) > 1"), " at 5 of 20 nodes, first at block1 (1, 1, 4) = (-2, -2, 1); "),
+        (lambda: moved_where("z < 0.1"), " is not satisfied on any face of the selection (5 of 20 nodes satisfy it; "
+         "the selection spans x -2 to -2, y -2 to -0.5, z 0 to 1)"),
+        (lambda: problem_of(FRAME, [BoundarySpec("pitch", ("block1.imin",), Kind.PERIODIC), *BAR]),
+         "boundary 'pitch' is periodic but has 1 select patterns, and the file declares no periodic connection"),
+        (lambda: [deform(Grid.from_blocks([CUBE]), pair("0.01", z)) for z in ("0.01", "0.02*y")],
+         "two periodic images of a node move differently: (0, 0, 0.01) where the other would give it (0, 0, 0); give"),
+        (lambda: with_bar(formulas("0.1", "log(x)", "0")), "motion step 1 gives the displacement (0.1, nan, 0) at node "
+         "block1 (5, 5, 1) = (-0.5, -0.5, 0), t = 0 (40 of 80 nodes); expected finite numbers up to 1e+30"),
+        (lambda: with_bar(TWO, time=1.5), "no level at t = 1.5; it has 2 levels from 0 to 2, the nearest at 2. Choose"),
+        (lambda: with_bar(TWO, time=2.0), "b.csv matches 76 boundary nodes, a.csv others (80); expected all tables of"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(act, message):
+    with pytest.raises(MeshDeformError) as caught:
+        act()
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("motion", "message"),
+    [
+        (("0", "0", "0"), "nothing moves: the displacement is zero everywhere; check"),
+        (("114*x", "0", "0"), ""),
+        (("115*x", "0", "0"), "the largest displacement, 57.5, is 10 times the size of the grid, 5.745: is it in the"),
+        (("x", "1.001*y", "z"), "the displacements are nearly the coordinates of the nodes themselves, so the wall"),
+        (
+            ("0.1*z", "0", "-0.07*z"),
+            "the motion carries nodes out of a slip or symmetry plane by up to 0.07; the plane",
+        ),
+    ],
+)
+def test_what_is_doubtful_is_told(motion, message):
+    told = with_bar(formulas(*motion))
+    assert told[0].startswith(message) if message else told == []

@@ -33,7 +33,9 @@ X = np.linspace(-1.0, 2.0, 7)
     ],
 )
 def test_values(text, expected):
-    np.testing.assert_allclose(expression(text, {"x", "L"})({"x": X, "L": 5.0}), expected, atol=1e-15)
+    formula = expression(text, {"x", "L"})
+    np.testing.assert_allclose(formula({"x": X, "L": 5.0}), expected, atol=1e-15)
+    assert formula.is_condition == (np.asarray(expected).dtype == bool)
 
 
 @pytest.mark.parametrize(
@@ -54,6 +56,7 @@ def test_nothing_else_is_a_formula(text):
 def test_numbers_are_floats_so_that_powers_end_also_in_pickles():
     assert pickle.loads(pickle.dumps(expression("9**9**9**9", ())))({}) == np.inf
     assert np.isnan(expression("0/0", ())({}))
+    assert not expression("1 > 0 and 2", ()).is_condition
 
 
 @pytest.mark.parametrize("value", [True, None, [1], {"a": 1}])

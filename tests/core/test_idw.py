@@ -17,6 +17,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.numerics.rotation import continuous
 from meshdeform_core.repair import RepairOptions
+from meshdeform_core.wording import literal
 from meshdeform_samples import load
 from meshdeform_samples.reproduce.paper_methods import ReweightedIDW
 
@@ -103,6 +104,13 @@ def test_auto_alpha_is_eq_18_capped_and_says_so():
     assert 0.001 < prepared.account.settings["alpha"].value < 0.3
 
 
+EXPECTED = {
+    "rotation": "; did you mean 'quaternion'?", "alpha": '; expected a positive number up to 10000 or "auto"',
+    "length": '; expected a positive number or "auto"', "divisions": "; expected a positive whole number",
+    "summation_tolerance": "; expected a number >= 1e-08 up to 0.1",
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -113,8 +121,12 @@ def test_auto_alpha_is_eq_18_capped_and_says_so():
     ],
 )  # fmt: skip
 def test_bad_options(options):
-    with pytest.raises(MethodError, match=r"method\.idw\."):
+    ((name, value),) = options.items()
+    with pytest.raises(MethodError) as caught:
         IDW(**options)
+    told = str(caught.value)
+    assert told.startswith(f"method.idw.{name} = {literal(value)}")
+    assert told.endswith(EXPECTED.get(name, ""))
 
 
 def test_rotations_at_a_thin_trailing_edge_do_not_jump():

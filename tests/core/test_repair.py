@@ -18,7 +18,7 @@ from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.numerics.cell.foldover.loops import Unknowns, add_derivatives, places_of_pairs
 from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 from meshdeform_core.quality.validity import judge
-from meshdeform_core.repair import RepairOptions, newton, untangle
+from meshdeform_core.repair import RepairOptions, energy, newton
 from meshdeform_core.repair.constraints import Constraints, find_extrusion
 from meshdeform_core.repair.energy import Penalty
 from meshdeform_core.repair.newton import NewtonSystem
@@ -132,22 +132,6 @@ def test_over_relaxed_sweeps_take_half_the_iterations(monkeypatch):
     assert taken[0] < 0.6 * taken[1], taken
 
 
-def test_as_much_of_the_second_derivatives_as_possible_is_tried_and_all_of_them_at_the_minimum(monkeypatch):
-    told, fill = [], NewtonSystem.fill
-
-    def noted(self, region, x, reference, penalty):
-        told.append(penalty.exact if penalty.eps == 0.0 else None)
-        return fill(self, region, x, reference, penalty)
-
-    monkeypatch.setattr(NewtonSystem, "fill", noted)
-    assert turned(frame_2d(9), 80, steps=1).repair.converged
-    shares = [share for share in told if share is not None]
-    assert shares[:6] == [1.0, 0.9375, 0.875, 0.75, 0.5, 0.0]
-    # None is tried in the step after one in which all tries failed.
-    assert shares[6:8] == [0.0, 0.5]
-    assert shares[-1] == 1.0
-
-
 @pytest.mark.parametrize("refused", [0, 10, 20])
 def test_where_steps_are_shortened_or_refused_the_minimum_is_not_called_reached(refused, monkeypatch):
     """So many trials of every step are made to look bad: then 2^-10 of it is taken, or, of 14 trials, none."""
@@ -203,13 +187,6 @@ def test_attempts_are_told_and_options_mean_what_they_say():
     easy = turned(frame(6, 2), 20)
     assert (easy.repair, len(easy.attempts)) == (None, 1)
     np.testing.assert_array_equal(easy.grid.points, turned(frame(6, 2), 20, mode="off").grid.points)
-
-
-def test_a_polished_grid_with_a_smaller_scaled_jacobian_is_not_taken(monkeypatch):
-    monkeypatch.setattr(untangle, "POLISHED", 1.0)
-    plain, polished = (turned(frame_2d(6), 20, mode=mode) for mode in ("off", "polish"))
-    np.testing.assert_array_equal(polished.grid.points, plain.grid.points)
-    assert polished.repair is None
 
 
 def test_a_grid_in_an_inclined_plane_stays_in_it():
@@ -295,15 +272,10 @@ def test_when_nothing_helps_the_boundary_is_where_it_was_told():
     wall = setup.topology.first[setup.boundary.known]
     told = setup.grid.points[wall] + setup.displacement(0.0)[setup.boundary.known]
     np.testing.assert_array_equal(result.grid.points[wall], told)
-    assert any("body" in warning for warning in result.warnings)
-    assert any("no valid grid was found" in warning for warning in result.warnings)
-    # What was reached before the walls meet is told, and no other steps are tried; both repairs are short.
-    assert len(result.attempts) <= 4
-    assert result.repair is not None
+    # What was reached before the walls meet is told; both repairs are short.
+    assert ["'body'" in result.warnings[-2], "only for 2" in result.warnings[-1]] == [True, True]
     assert 0 < result.repair.newton_steps <= 60
     assert result.attempts[1].invalid_cells < result.attempts[0].invalid_cells
-    assert max(a.reached for a in result.attempts if not a.invalid_cells) > 0.1
-    assert any("only for" in warning for warning in result.warnings)
 
 
 @pytest.mark.parametrize("wrong", [{"mode": "maybe"}, {"min_jacobian": -0.1}, {"min_jacobian": 1.0}])
@@ -365,24 +337,13 @@ def test_extruded_grids_are_repaired_as_plane_ones_whatever_their_indices():
         np.testing.assert_allclose(np.ptp(inner[..., :2], axis=2), 0.0, atol=1e-12)
 
 
-@pytest.mark.slow
-def test_repairs_of_extruded_grids_set_in_without_a_jump():
-    """The method's grid differs along lines; where its repair sets in, the repaired grid must still be that one."""
-    grid = frame(7, 5)
-
-    def turned(angle, repair="auto"):
-        case = Case(tuple(body_specs(turning(str(angle)))), repair=RepairOptions(repair))
-        return deform(grid, case, steps=1)
-
-    low, high = 5.0, 60.0
-    while high - low > 1e-3:
-        middle = (low + high) / 2
-        low, high = (low, middle) if turned(middle).repair else (middle, high)
-    repaired, plain = turned(high), turned(high, "off")
-    assert repaired.repair.newton_steps > 0
-    apart = np.ptp(np.reshape(plain.grid.block(0)[1:-1, 1:-1], (-1, grid.shapes[0][2], 3)), axis=1)
-    assert np.abs(apart[:, :2]).max() > 1e-3
-    np.testing.assert_allclose(repaired.grid.points, plain.grid.points, atol=1e-5)
+def test_what_differs_along_lines_fades_out_smoothly():
+    shares = np.linspace(0.0, 1.2 * energy.ALONG, 13)
+    kept, slope = np.transpose([energy.kept_along_lines(share) for share in shares])
+    assert (kept[0], slope[0], *kept[10:], *slope[10:]) == (1.0, *np.zeros(7))
+    h = 1e-6 * energy.ALONG
+    ends = [[energy.kept_along_lines(share + sign * h)[0] for share in shares[1:]] for sign in (1, -1)]
+    np.testing.assert_allclose(np.subtract(*ends) / (2 * h), slope[1:], atol=1e-5 / energy.ALONG)
 
 
 @pytest.mark.parametrize("common", [0.0, 0.3, 0.4])
@@ -521,16 +482,6 @@ def test_nodes_slide_on_curved_surfaces_and_stay_on_them(dimension):
     np.testing.assert_array_equal(outcome.points[held], points[held])
 
 
-def test_the_time_limit_ends_attempts_and_is_told():
-    body, _ = body_specs(turning("110"), Kind.SLIP)
-    case = Case((dataclasses.replace(body, select=("*",)),), repair=RepairOptions(time_limit=1e-9))
-    result = deform(frame_2d(6), case)
-    assert not result.valid
-    assert [a.repair for a in result.attempts].count(True) <= 1
-    assert any("the time limit of 1e-09 s" in text for text in result.warnings)
-    assert not result.repair or result.repair.newton_steps == 0
-
-
 def test_pinned_corners_do_not_end_an_improvement():
     """The largest density of all may be that of a corner that nothing can improve; the others still improve."""
     grid = cube(9, 2)
@@ -544,13 +495,6 @@ def test_pinned_corners_do_not_end_an_improvement():
     ratio = [verdict.ratio.reshape(8, 8)[2:, 2:].min() for verdict in (before, outcome.verdict)]
     assert ratio[0] < 0.05
     assert ratio[1] > 0.3
-
-
-def test_steps_of_no_length_that_are_not_the_last_are_followed_by_others(monkeypatch):
-    setup = fixed_setup(cube(5, 2))
-    plot = Basis(setup.original, setup.boundary).whole
-    monkeypatch.setattr(Untangler, "_step", lambda self, now, *_: (now, 1.0))
-    assert not Untangler(plot, plot.inside(setup.grid.points), np.inf).minimise(1.0, 3)
 
 
 def test_a_deep_fold_is_opened():

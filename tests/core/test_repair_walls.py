@@ -93,6 +93,8 @@ def test_what_walls_gain_the_worst_cell_of_a_valid_grid_loses_in_part_only(monke
     assert repaired.repair is not None
     worst = [result.assessment.after.min_scaled_jacobian for result in (plain, repaired)]
     assert worst[1] == pytest.approx(share * 0.9 * worst[0], rel=1e-5)
+    told = f"the repair lowers the smallest scaled Jacobian from {worst[0]:.3g} to {worst[1]:.3g} for better cells"
+    assert [told in text for text in repaired.warnings if "scaled Jacobian" in text] == [True] * (share < 1.0)
 
 
 def test_cells_are_healthy_up_to_the_shear_at_which_their_energy_has_a_share():
