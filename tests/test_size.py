@@ -26,10 +26,10 @@ BUDGETS = {
     "meshdeform_core/boundary": 2965,
     "meshdeform_core/grid": 2583,
     "meshdeform_core/methods": 3803,
-    "meshdeform_core/numerics": 8091,
+    "meshdeform_core/numerics": 8127,
     "meshdeform_core/parallel": 682,
     "meshdeform_core/quality": 1744,
-    "meshdeform_core/repair": 2137,
+    "meshdeform_core/repair": 2101,
     "meshdeform_core": 2454,
     "tests": 23987,
 }

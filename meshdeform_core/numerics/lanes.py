@@ -170,12 +170,6 @@ class Array:
         place = self.builder.add(at, ir.Constant(at.type, further))
         self.builder.store(number, self.builder.gep(self._data, [place]))
 
-    def load_pair(self, at: ir.Value) -> Lanes:
-        """Two numbers, repeated to fill four lanes."""
-        pointer = self._pointer(at, 0, ir.VectorType(self._kind, 2))
-        pair = Lanes(self.builder, self.builder.load(pointer, align=_bytes(self._kind)))
-        return _shuffle(pair, pair, [0, 1, 0, 1])
-
     def store_pair(self, at: ir.Value, lanes: Lanes) -> None:
         """Store the first two lanes."""
         self.store(at, _shuffle(lanes, lanes, [0, 1]))
@@ -279,6 +273,21 @@ narrow = partial(lanes, width=NARROW)
 """As :func:`lanes`, for eight numbers at a time: enough in double precision, with half as much scratch memory."""
 
 
+@narrow
+def transpose(source: Array, target: Array, first: ir.Value, at: ir.Value, row: ir.Value) -> None:
+    """Eight rows of eight numbers of ``source``, from element ``first`` on, as columns of ``target``, whose rows have
+    ``row`` elements, from element ``at`` on."""
+    rows = [source.load(first, NARROW * n) for n in range(NARROW)]
+    for step in (1, 2, 4):
+        for n in (n for n in range(NARROW) if not n & step):
+            one, two = rows[n], rows[n + step]
+            rows[n] = one.mixed(two, [k + (NARROW - step if k & step else 0) for k in range(NARROW)])
+            rows[n + step] = one.mixed(two, [k + (NARROW if k & step else step) for k in range(NARROW)])
+    for lanes_of_row in rows:
+        target.store(at, lanes_of_row)
+        at = target.builder.add(at, row)
+
+
 def _argument(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value, width: int) -> Any:
     if isinstance(kind, types.Array):
         if kind.layout != "C":
@@ -301,12 +310,8 @@ def _copied(builder: ir.IRBuilder, value: ir.Value, width: int) -> Lanes:
 
 
 _four = partial(lanes, width=4)
-"""Products of rows of sparse matrices of small square blocks, in single precision, with vectors in double precision.
-
-Every block is one or three vectors of four numbers: the compiler leaves loops over blocks of 2 x 2 or 3 x 3 numbers
-scalar. Of three numbers, four are loaded, the last of which is not used; arrays must have room for it
-(:func:`with_room`).
-"""
+"""As :func:`lanes`, for four numbers, of columns of 2 x 2 or 3 x 3 blocks: the compiler leaves loops over these scalar.
+What is loaded too much is not used; arrays must have room for it (:func:`with_room`)."""
 
 
 def with_room(shape: tuple[int, ...], dtype: Any = np.float64) -> Any:
@@ -315,72 +320,47 @@ def with_room(shape: tuple[int, ...], dtype: Any = np.float64) -> Any:
 
 
 @_four
-def multiply_row(
-    blocks: Array, columns: Array, vector: Array, image: Array, row: ir.Value, first: ir.Value, last: ir.Value
-) -> None:
-    """Row of ``image`` (n, 3): the sum of ``blocks[at] @ vector[columns[at]]`` for first <= at < last."""
-    builder, at = blocks.builder, row.type
-    totals = [_Total(builder) for _ in range(3)]
-    with cgutils.for_range_slice(builder, first, last, at(1), at) as (place, _):
-        value = vector.load(builder.mul(_column(columns, place), at(3)))
-        for d, total in enumerate(totals):
-            total.add(blocks.load(builder.mul(place, at(9)), 3 * d).double() * value)
-    for d, total in enumerate(totals):
-        image.store_one(builder.mul(row, at(3)), total.of(range(3)), d)
+def add_four(target: Array, at: ir.Value, source: Array, first: ir.Value) -> None:
+    """Add four numbers of ``source``, from element ``first`` on, to those of ``target`` from element ``at`` on."""
+    target.add(at, source.load(first))
 
 
-@_four
-def solve_row(
-    blocks: Array,
-    columns: Array,
-    vector: Array,
-    right: Array,
-    row: ir.Value,
-    first: ir.Value,
-    count: ir.Value,
-    step: ir.Value,
-    factor: Lanes,
-) -> None:
-    """Row of ``vector`` (n, 2): that of ``right`` less the sum of ``blocks[at] @ vector[columns[at]]``, times a factor.
+def _solving(size: int) -> Any:
+    @_four
+    def solve_row(
+        blocks: Array, columns: Array, vector: Array, right: Array, row: ir.Value, first: ir.Value, count: ir.Value,
+        step: ir.Value, factor: Lanes,
+    ) -> None:  # fmt: skip
+        """Row of ``vector`` (n, size): that of ``right`` less the sum of ``blocks[at].T @ vector[columns[at]]``, times
+        a factor.
 
-    ``at`` takes ``count`` values from ``first`` on by ``step``. The row computed before should come last, as all others
-    can be summed before it is known.
-    """
-    builder, at, total = blocks.builder, row.type, _Total(blocks.builder)
-    with cgutils.for_range(builder, count) as loop:
-        place = builder.add(first, builder.mul(loop.index, step))
-        pair = vector.load_pair(builder.mul(_column(columns, place), at(2)))
-        total.add(blocks.load(builder.mul(place, at(4))).double() * pair)
-    sums, start = total.lanes, builder.mul(row, at(2))
-    sums = sums + sums.mixed(sums, [1, 0, 3, 2])
-    vector.store_pair(start, (right.load_pair(start) - sums.mixed(sums, [0, 2, 0, 2])) * factor)
+        ``at`` takes ``count`` values from ``first`` on by ``step``. The row computed before should come last, as all
+        others can be summed before it is known.
+        """
+        builder, at, zero = blocks.builder, row.type, ir.Constant(ir.VectorType(ir.DoubleType(), 4), [0.0] * 4)
+        totals = [cgutils.alloca_once_value(builder, zero) for _ in range(size)]
+        for total in totals:
+            # Allocated once per function, which may contain several loops.
+            builder.store(zero, total)
+        with cgutils.for_range(builder, count) as loop:
+            place = builder.add(first, builder.mul(loop.index, step))
+            block, column = (builder.mul(a, at(b)) for a, b in ((place, size**2), (_column(columns, place), size)))
+            for d, total in enumerate(totals):
+                product = blocks.load(block, size * d).double() * vector.every(column, d)
+                builder.store((Lanes(builder, builder.load(total)) + product).value, total)
+        start = builder.mul(row, at(size))
+        value = right.load(start)
+        for total in totals:
+            value = value - Lanes(builder, builder.load(total))
+        vector.store_pair(start, value * factor)
+        if size == 3:
+            vector.store_one(start, builder.extract_element((value * factor).value, at(2)), 2)
 
-
-class _Total:
-    """Four running sums in a loop."""
-
-    def __init__(self, builder: ir.IRBuilder):
-        zero = ir.Constant(ir.VectorType(ir.DoubleType(), 4), [0.0] * 4)
-        self._builder, self._place = builder, cgutils.alloca_once_value(builder, zero)
-        # The place is initialised once per function, which may contain several loops.
-        builder.store(zero, self._place)
-
-    def add(self, more: Lanes) -> None:
-        self._builder.store((self.lanes + more).value, self._place)
-
-    @property
-    def lanes(self) -> Lanes:
-        return Lanes(self._builder, self._builder.load(self._place))
-
-    def of(self, numbers: range) -> ir.Value:
-        """The sum of some of the four."""
-        value, kind = self.lanes.value, ir.IntType(32)
-        parts = [self._builder.extract_element(value, kind(n)) for n in numbers]
-        total = parts[0]
-        for part in parts[1:]:
-            total = self._builder.fadd(total, part)
-        return total
+    return solve_row
 
 
 def _column(columns: Array, place: ir.Value) -> ir.Value:
     return columns.builder.zext(columns.one(place), place.type)
+
+
+solve_pair, solve_three = _solving(2), _solving(3)

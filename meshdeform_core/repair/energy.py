@@ -26,6 +26,8 @@ from .tuned import ALONG, BETWEEN, FULL, HEALTHY, HELD, NORM, POWER, SLOWLY, SOF
 
 _TOGETHER = 1 << 15
 """Cells whose maps are found at a time, which bounds the memory."""
+# The compiled loop tells, in a tenth of the time, which groups of so many cells need not be looked at for an excess.
+_FEW = 64
 # Measured work for the derivatives at one sample in a plane and in space, in the unit of :class:`.Limit`.
 _SAMPLE = {2: 0.35, 3: 0.6}
 
@@ -60,11 +62,6 @@ class Energy:
     mask: IntArray
 
     @cached_property
-    def slope(self) -> FloatArray:
-        """Of the shape functions at the sample points."""
-        return sample_slopes(self.start.shape[1])
-
-    @cached_property
     def work(self) -> float:
         """Work of computing all second derivatives, see :class:`.Limit`."""
         return _SAMPLE[self.start.shape[1]] * int(np.unpackbits(self.mask.view(np.uint8)).sum())
@@ -74,11 +71,12 @@ class Energy:
         return self._in_plane if self.start.shape[1] == 2 else self._made(between)
 
     def _made(self, between: bool) -> Iterator[Maps]:
+        slope = sample_slopes(self.start.shape[1])
         for low in range(0, len(self.nodes), _TOGETHER):
-            for sample in range(len(self.slope) if between else self.nodes.shape[1]):
+            for sample in range(len(slope) if between else self.nodes.shape[1]):
                 some = low + np.flatnonzero(self.mask[low : low + _TOGETHER] >> sample & 1)
                 if some.size:
-                    yield maps_at_sample(self.start, self.nodes, self.slope, sample, some)
+                    yield maps_at_sample(self.start, self.nodes, slope, sample, some)
 
     @cached_property
     def _in_plane(self) -> list[Maps]:
@@ -97,24 +95,7 @@ class Energy:
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
     ) -> tuple[float, float, float]:
         """Energy, smallest determinant and largest f of the cells low <= m < high."""
-        if x.shape[1] == 3:
-            return energy_of_cells(x, *self._loops, reference, tuple(penalty), np.arange(low, high))
-        found = [(0.0, np.inf, 0.0)]
-        for whole in self._in_plane:
-            some = slice(*np.searchsorted(whole.cell, [low, high]))
-            maps = Maps(whole.nodes[:, some], whole.slope[..., some], whole.cell[some])
-            a = maps.jacobians(x)
-            g, det = inner(a, a), a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
-            chi, _ = _regular(det, penalty.eps)
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                f = np.where(chi > 0.0, 0.5 * (g + det * det + 1.0) / chi, np.inf)
-                energy = penalty.share * (self.weight[maps.cell] * f + penalty.cubic * growth(f)[0])
-            if penalty.elastic > 0.0:
-                change = a - maps.jacobians(reference)
-                energy += 0.5 * penalty.elastic * self.weight[maps.cell] ** HELD * inner(change, change)
-            found.append((float(energy.sum()), float(det.min(initial=np.inf)), float(f.max(initial=0.0))))
-        energies, lowest, highest = zip(*found, strict=True)
-        return sum(energies), min(lowest), max(highest)
+        return energy_of_cells(x, *self._loops, reference, tuple(penalty), np.arange(low, high))
 
     def add(self, x: FloatArray, reference: FloatArray, penalty: Penalty, *rest: Any) -> None:
         """See :func:`..numerics.cell.foldover.loops.add_derivatives`; ``rest``: its arguments from ``which`` on."""
@@ -123,14 +104,19 @@ class Energy:
     @cached_property
     def _loops(self) -> tuple[Any, ...]:
         weights = np.stack([self.weight, self.between, self.weight**HELD], axis=1)
-        return self.nodes, self.start, self.mask, self.slope, weights
+        return self.nodes, self.start, self.mask, sample_slopes(self.start.shape[1]), weights
 
     def excess(self, x: FloatArray) -> FloatArray:
         """Excess (m,) of the cells, with corners as samples."""
-        total = np.zeros(len(self.nodes))
-        for maps in self.maps(between=False):
+        count = len(self.nodes)
+        corners, total = self.with_between(np.zeros(count)), np.zeros(count)
+        lows = range(0, count, _FEW)
+        weak = [low for low in lows if corners.sum(x, x, Penalty(SOFT), low, min(low + _FEW, count))[2] > HEALTHY]
+        some = np.flatnonzero(np.isin(np.arange(count) // _FEW * _FEW, weak))
+        part = dataclasses.replace(corners, nodes=self.nodes[some], weight=self.weight[some], mask=corners.mask[some])
+        for maps in part.maps(between=False):
             f = _slopes(maps.jacobians(x), SOFT)[0]
-            total[maps.cell] += np.log(np.maximum(f / HEALTHY, 1.0)) ** NORM
+            total[some[maps.cell]] += np.log(np.maximum(f / HEALTHY, 1.0)) ** NORM
         return np.asarray(total ** (1.0 / NORM))
 
     def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:

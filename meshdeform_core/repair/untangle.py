@@ -168,7 +168,7 @@ class Untangler:
         regularisation ``eps`` falls, to 0 once it raises the smallest determinant by no more than half."""
         penalty, whole = Penalty(eps, share, CUBIC, 1.0), self.region.energy.work + _WORTHWHILE * self.system.work
         now, earlier = self.state(self.x, penalty), deque[State](maxlen=_PATIENCE + 1)
-        length = expected = np.inf
+        length, expected, order = np.inf, np.inf, 1 if self.region.slides else 2
         for step in range(most):
             earlier.append(now)
             if self.limit.reached or not self.limit.affords(whole):
@@ -194,8 +194,9 @@ class Untangler:
                 now, length = self.state(now.x, penalty), np.inf
                 earlier.clear()
                 continue
-            # The next step is estimated from the linear solver's tolerance and Newton's quadratic convergence.
-            expected = max(tolerance, (length / before) ** 2) * length if before else np.inf
+            # The next step is estimated from the linear solver's tolerance and Newton's convergence: quadratic, but
+            # linear where nodes slide on curved surfaces, whose curvature the second derivatives leave out.
+            expected = max(tolerance, (length / before) ** order) * length if before else np.inf
             # A step that was shortened, or not solved for, says nothing about the distance from the minimum, and where
             # the second derivatives are indefinite there is none.
             full = self.system.solved and self.damped == 0.0 and part >= 1.0

@@ -46,9 +46,9 @@ def repaired(setup, points, **options):
 
 
 def dense(system):
-    """The scaled Hessian as a matrix (d n, d n)."""
-    blocks = system.matrix.astype(np.float64), system.columns, system.starts
-    return scipy.sparse.bsr_array(blocks, shape=(system.gradient.size, system.gradient.size)).toarray()
+    """The scaled Hessian as a matrix (d n, d n), from both of its halves, whose blocks are transposed."""
+    found = [scipy.sparse.bsr_array((b.transpose(0, 2, 1) * 1.0, at, n)) for b, n, at in (system._upper, system._lower)]
+    return np.triu(found[0].toarray()) + np.tril(found[1].toarray(), -1)
 
 
 PENALTIES = [Penalty(1.0), Penalty(0.05), Penalty(0.0, 0.3, 2.0, 0.7), Penalty(0.0, 0.3, 2.0, 0.7, 1.0)]
@@ -122,7 +122,7 @@ def test_over_relaxed_sweeps_take_half_the_iterations(monkeypatch):
     setup = fixed_setup(cube(80, 2))
     plot = Basis(setup.original, setup.boundary).whole
     start, taken = plot.inside(setup.grid.points), []
-    for slack in (newton._SLACK, np.sqrt(plot.region.n_unknowns)):
+    for slack in (newton._SLACK, {2: np.sqrt(plot.region.n_unknowns)}):
         monkeypatch.setattr(newton, "_SLACK", slack)
         system = NewtonSystem(plot.region)
         system.fill(plot.region, start, start, Penalty(0.0, 1.0, 2.0, 1.0))

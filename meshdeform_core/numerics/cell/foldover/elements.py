@@ -11,7 +11,7 @@ import numpy as np
 from llvmlite import ir
 
 from ...lanes import NARROW as WIDTH
-from ...lanes import Array, Lanes
+from ...lanes import Array, Lanes, Mask
 
 GRIDS = 3
 """Grids, deformed, undeformed and reference: ``points`` (GRIDS, 2^d, d, WIDTH) are the corners of eight cells."""
@@ -60,12 +60,6 @@ def load(array: Array, first: int, shape: tuple[int, ...], node: ir.Value | None
     return np.array([array.load(at, (first + n) * WIDTH) for n in range(size)], dtype=object).reshape(shape)
 
 
-def store(array: Array, first: int, values: Any) -> None:
-    """Store arrays of :class:`Lanes` as rows of an array (n, WIDTH) from ``first`` on."""
-    for n, value in enumerate(np.ravel(values)):
-        array.store(ir.IntType(64)(0), value, (first + n) * WIDTH)
-
-
 def add(array: Array, first: int, values: np.ndarray, node: ir.Value | None = None) -> None:
     """Add ``values`` to the rows of a node, see :func:`load`."""
     at = _start(array, node, values.shape)
@@ -77,22 +71,57 @@ def _start(array: Array, node: ir.Value | None, shape: tuple[int, ...]) -> ir.Va
     return ir.IntType(64)(0) if node is None else array.builder.mul(node, node.type(math.prod(shape) * WIDTH))
 
 
-def slopes_of(slope: Array, sample: ir.Value, node: ir.Value, d: int) -> np.ndarray:
-    """The derivatives (d,) of a node's shape function along the index axes, the same for all cells."""
-    builder = slope.builder
-    place = builder.mul(builder.add(builder.mul(sample, sample.type(1 << d)), node), sample.type(d))
-    return np.array([slope.every(place, k) for k in range(d)])
+def at_corner(points: Array, corner: ir.Value, d: int, *_: Array) -> tuple[list[ir.Value], list[np.ndarray]]:
+    """A corner and the ends of its edges, and the vectors (d, d) along these in the deformed, the undeformed and the
+    reference cells, whose coordinates are rows of ``points`` (GRIDS, 2^d, d, WIDTH)."""
+    nodes = [corner, *(points.builder.xor(corner, corner.type(1 << axis)) for axis in reversed(range(d)))]
+    grids = [[load(points, grid * (d << d), (d,), node) for node in nodes] for grid in range(GRIDS)]
+    return nodes, [np.array(ends) - here for here, *ends in grids]
 
 
-def vectors_at(points: Array, slope: Array, sample: ir.Value, d: int) -> tuple[np.ndarray, list[np.ndarray]]:
-    """The slopes (2^d, d) of the shape functions at a sample point, and the vectors (d, d) along the index axes of the
-    deformed, the undeformed and the reference cells, whose coordinates are rows of ``points`` (3, 2^d, d, WIDTH)."""
-    weights = np.array([slopes_of(slope, sample, sample.type(n), d) for n in range(1 << d)])
-    grids = [load(points, grid * (d << d), (1 << d, d)) for grid in range(GRIDS)]
-    return weights, [np.array([w[:, None] * p for w, p in zip(weights, x, strict=True)]).sum(axis=0) for x in grids]
+def add_to_nodes(result: Array, first: int, nodes: list[ir.Value], force: np.ndarray, second: np.ndarray) -> None:
+    """Add first derivatives (d, d), from row ``first`` on, and second ones (d, d, d, d) with respect to the vectors of
+    :func:`at_corner`."""
+    here, *ends = nodes
+    add(result, first, force.sum(axis=0) * -1.0, here)
+    to_here = second.sum(axis=1) * -1.0
+    add_pair(result, here, here, to_here.sum(axis=0) * -1.0)
+    for k, end in enumerate(ends):
+        add(result, first, force[k], end)
+        add_pair(result, end, here, to_here[k])
+        for m in range(k, len(ends)):
+            add_pair(result, end, ends[m], second[k, m])
+
+
+def add_pair(result: Array, one: ir.Value, other: ir.Value, values: np.ndarray) -> None:
+    """Add second derivatives (d, d) with respect to two nodes of a cell to the rows of their pair."""
+    builder, kind, d = result.builder, one.type, len(values)
+    turned = builder.icmp_unsigned(">", one, other)
+    low, high = builder.select(turned, other, one), builder.select(turned, one, other)
+    # Before the pairs of a node are those of lower ones, each of which has one less than the one before.
+    before = builder.lshr(builder.mul(low, builder.sub(kind((2 << d) - 1), low)), kind(1))
+    first = builder.mul(builder.add(before, high), kind(d * d * WIDTH))
+    down, across = (builder.select(turned, kind(a * WIDTH), kind(b * WIDTH)) for a, b in ((1, d), (d, 1)))
+    for (i, j), value in np.ndenumerate(values):
+        result.add(builder.add(first, builder.add(builder.mul(down, kind(i)), builder.mul(across, kind(j)))), value)
 
 
 def regular(det: Lanes, eps: Lanes) -> tuple[Lanes, Lanes]:
     """chi and sqrt(eps^2 + D^2), computed without cancellation."""
     root = (eps * eps + det * det).sqrt()
     return (det * 0.0).below(det).choose(0.5 * (det + root), 0.5 * eps * eps / (root - det)), root
+
+
+def add_energy(
+    sums: Array, terms: Array, weights: int, counts: Mask, det: Lanes, chi: Lanes, f: Lanes, strain: np.ndarray,
+    share: Lanes, cubic: Lanes, elastic: Lanes,
+) -> None:  # fmt: skip
+    """Add the energy of cells at a sample point, where it ``counts``, to ``sums`` (3, WIDTH): the energy, the smallest
+    D, the largest f. w and the factor of the elastic energy are in row ``weights`` of ``terms`` and the next."""
+    (total, lowest, highest), [weight, held] = load(sums, 0, (3,)), load(terms, weights, (2,))
+    f = (chi * 0.0).below(chi).choose(f, det * 0.0 + math.inf)
+    total = total + counts.choose(share * (weight * f + cubic * growth(f)[0]), 0.0)
+    total = total + counts.choose(0.5 * elastic * held * (strain * strain).sum(), 0.0)
+    lowest, highest = lowest.min(counts.choose(det, det * 0.0 + math.inf)), highest.max(counts.choose(f, 0.0))
+    for row, value in enumerate((total, lowest, highest)):
+        sums.store(ir.IntType(64)(0), value, row * WIDTH)

@@ -7,31 +7,27 @@ determinant of the undeformed vectors and K the cofactors of A, for cyclic (k, l
 
     K g_k = e_l x e_m / V,    A (g_k x g_l) = e_m / V.
 
-They are sums over the nodes times the slopes of their shape functions; at a corner, edges that point along the axes.
+At a corner they are its edges, whose sense does not matter; elsewhere sums over the nodes times the slopes of their
+shape functions.
 """
 
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
 
-from ...jit import inlined
 from ...lanes import Array, Lanes, Mask, narrow
-from .elements import add, combined, growth, load, regular, slopes, slopes_of, store, vectors_at
+from .elements import GRIDS, add, add_energy, add_pair, add_to_nodes, at_corner, combined, growth, load, regular, slopes
 
 WEIGHT = 27
 """Row of ``terms``, see :mod:`.loops`."""
-ENERGY, LOWEST, HIGHEST, SUMS = 0, 1, 2, 3
-"""Rows of ``sums`` (SUMS, WIDTH): the energy, the smallest D, the largest f."""
 FORCE = 36 * 9
 """Row of ``result``, see :mod:`.loops`, from which on it has first derivatives (8, 3); before are second ones
 (36, 3, 3)."""
-PULL, BEND, TURNED, PARTS = 0, 9, 90, 117
-"""Rows of ``parts`` (PARTS, WIDTH), derivatives at a sample point with respect to the vectors e_k: the first ones
-(3, 3), the second ones (3, 3, 3, 3), and those (3, 3, 3) with respect to a node and the vectors."""
 
 # For x^(-1/3): the first guess from the bits of x is within 4 %, and every correction, by the first terms of the series
 # of (1 - d)^(-1/3), raises the error to the third power.
@@ -56,9 +52,9 @@ class _Map(NamedTuple):
     det: Lanes
 
     @classmethod
-    def at(cls, points: Array, terms: Array, slope: Array, sample: ir.Value) -> _Map:
-        """``slope`` (27, 8, 3): of the shape functions."""
-        _, (edges, start, held) = vectors_at(points, slope, sample, 3)
+    def of(cls, vectors: list[np.ndarray], terms: Array, sample: ir.Value) -> _Map:
+        """``vectors``: the e_k in the deformed, the undeformed and the reference cells."""
+        edges, start, held = vectors
         [share] = load(terms, 0, (1,), sample)
         counts, areas = (share * 0.0).below(share), _areas(start)
         inverse = counts.choose(1.0 / (start[0] @ areas[0]), 0.0)
@@ -68,32 +64,29 @@ class _Map(NamedTuple):
         return cls(counts, share, edges, dual, inverse, matrix, (edges - held).T @ dual, across, square, det)
 
 
-@narrow
-def add_energy(
-    points: Array, terms: Array, slope: Array, sums: Array, sample: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes,
-    elastic: Lanes,
-) -> None:  # fmt: skip
-    """Add the energy at a sample point of all cells to ``sums``."""
-    found, [weight, held] = _Map.at(points, terms, slope, sample), load(terms, WEIGHT, (2,))
-    chi, _ = regular(found.det, eps)
-    root, infinite = _inverse_root(chi), found.det * 0.0 + float("inf")
-    f = found.square * (1 / 3) * root * root + (found.det * found.det + 1.0) * 0.5 / chi
-    f = (chi * 0.0).below(chi).choose(f, infinite)
-    energy, lowest, highest = load(sums, ENERGY, (SUMS,))
-    stiff = 0.5 * elastic * held * (found.strain * found.strain).sum()
-    total = share * found.share * (weight * f + cubic * growth(f)[0]) + stiff
-    lowest = lowest.min(found.counts.choose(found.det, infinite))
-    highest = highest.max(found.counts.choose(f, 0.0))
-    store(sums, ENERGY, [energy + found.counts.choose(total, 0.0), lowest, highest])
+def _adding_energy(at: Callable[..., Any]) -> Any:
+    @narrow
+    def add_energy_at(
+        points: Array, terms: Array, slope: Array, sums: Array, sample: ir.Value, eps: Lanes, share: Lanes,
+        cubic: Lanes, elastic: Lanes,
+    ) -> None:  # fmt: skip
+        """Add the energy at a sample point of all cells to ``sums``."""
+        found = _Map.of(at(points, sample, 3, slope)[1], terms, sample)
+        chi, _ = regular(found.det, eps)
+        root = _inverse_root(chi)
+        f = found.square * (1 / 3) * root * root + (found.det * found.det + 1.0) * 0.5 / chi
+        part = share * found.share, cubic, elastic
+        add_energy(sums, terms, WEIGHT, found.counts, found.det, chi, f, found.strain, *part)
+
+    return add_energy_at
 
 
-@narrow
-def derivatives(
-    points: Array, terms: Array, slope: Array, parts: Array, sample: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes,
-    elastic: Lanes, exact: Lanes,
-) -> None:  # fmt: skip
-    """The derivatives of the energy at a sample point with respect to the vectors e_k, in ``parts``."""
-    found, [weight, held] = _Map.at(points, terms, slope, sample), load(terms, WEIGHT, (2,))
+def _derivatives(
+    found: _Map, terms: Array, eps: Lanes, share: Lanes, cubic: Lanes, elastic: Lanes, exact: Lanes
+) -> tuple[np.ndarray, np.ndarray]:
+    """The derivatives of the energy at a sample point with respect to the vectors e_k: the first ones (3, 3), and the
+    second ones (3, 3, 3, 3)."""
+    [weight, held] = load(terms, WEIGHT, (2,))
     chi, root = regular(found.det, eps)
     third = _inverse_root(chi)
     f, u, v, w, q, r, least = slopes(found.square, found.det, chi, root, third * third)
@@ -115,45 +108,43 @@ def derivatives(
             for d, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
                 pair[i, j], pair[j, i] = pair[i, j] + turned[d], pair[j, i] - turned[d]
         second[k, m], second[m, k] = pair, pair.T
-    store(parts, PULL, along * u + across * v + (found.dual @ found.strain.T) * stiff)
-    store(parts, BEND, second)
+    return along * u + across * v + (found.dual @ found.strain.T) * stiff, second
 
 
-@narrow
-def turn_to_node(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value) -> None:
-    """Add the first derivatives at a sample point to those of a node; in ``parts``, the second ones with respect to the
-    node and the vectors."""
-    own = slopes_of(slope, sample, node, 3)
-    add(result, FORCE, own @ load(parts, PULL, (3, 3)), node)
-    store(parts, TURNED, own @ load(parts, BEND, (3, 27)))
+def _adding_derivatives(at: Callable[..., Any], spread: Callable[..., None]) -> Any:
+    @narrow
+    def add_derivatives_at(
+        points: Array, terms: Array, slope: Array, result: Array, sample: ir.Value, eps: Lanes, share: Lanes,
+        cubic: Lanes, elastic: Lanes, exact: Lanes,
+    ) -> None:  # fmt: skip
+        """Add the derivatives of the energy at a sample point to ``result``; of the indefinite part of the second ones
+        the share ``exact``."""
+        nodes, vectors = at(points, sample, 3, slope)
+        found = _Map.of(vectors, terms, sample)
+        spread(result, FORCE, nodes, *_derivatives(found, terms, eps, share, cubic, elastic, exact))
+
+    return add_derivatives_at
 
 
-@narrow
-def add_to_pair(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value, other: ir.Value) -> None:
-    """Add the second derivatives with respect to a node, from :func:`turn_to_node`, and one that is not less."""
-    builder, values = result.builder, slopes_of(slope, sample, other, 3) @ load(parts, TURNED, (3, 9))
-    # Before the pairs of a node are those of lower ones, each of which has one less than the one before.
-    before = builder.lshr(builder.mul(node, builder.sub(node.type(15), node)), node.type(1))
-    add(result, 0, values.reshape(3, 3), builder.add(before, other))
+def _between(points: Array, sample: ir.Value, d: int, slope: Array) -> tuple[np.ndarray, list[np.ndarray]]:
+    """The slopes (8, 3) of the shape functions at a sample point, and the vectors (3, 3) along the index axes."""
+    first = slope.builder.mul(sample, sample.type(8 * d))
+    weights = np.array([[slope.every(first, d * n + k) for k in range(d)] for n in range(8)])
+    grids = [load(points, grid * 8 * d, (8, d)) for grid in range(GRIDS)]
+    return weights, [np.array([w[:, None] * p for w, p in zip(weights, x, strict=True)]).sum(axis=0) for x in grids]
 
 
-@inlined
-def add_sample(points, terms, slope, parts, result, s, eps, share, cubic, elastic, exact):
-    """Add the derivatives of the energy at a sample point to ``result``; of the indefinite part of the second ones the
-    share ``exact``."""
-    derivatives(points, terms, slope, parts, s, eps, share, cubic, elastic, exact)
-    for n in range(8):
-        if _enters(slope, s, n):
-            turn_to_node(slope, parts, result, s, n)
-            for o in range(n, 8):
-                if _enters(slope, s, o):
-                    add_to_pair(slope, parts, result, s, n, o)
+def _add_between(result: Array, first: int, weights: np.ndarray, force: np.ndarray, second: np.ndarray) -> None:
+    number = ir.IntType(64)
+    for n, own in enumerate(weights):
+        add(result, first, own @ force, number(n))
+        turned = (own @ second.reshape(3, 27)).reshape(3, 9)
+        for o in range(n, 8):
+            add_pair(result, number(n), number(o), (weights[o] @ turned).reshape(3, 3))
 
 
-@inlined
-def _enters(slope, s, n):
-    """Whether the map at a sample point depends on a node."""
-    return slope[s, n, 0] != 0.0 or slope[s, n, 1] != 0.0 or slope[s, n, 2] != 0.0
+add_corner_energy, add_energy_between = _adding_energy(at_corner), _adding_energy(_between)
+add_corner, add_between = _adding_derivatives(at_corner, add_to_nodes), _adding_derivatives(_between, _add_between)
 
 
 def _areas(edges: np.ndarray) -> np.ndarray:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from ...arrays import IntArray
 from ...jit import inlined, kernel, record
 from ...lanes import NARROW as WIDTH
+from ...lanes import add_four, transpose
 from .elements import GRIDS
-from .hexahedra import ENERGY, HIGHEST, LOWEST, PARTS, SUMS, add_energy, add_sample
-from .plane import add_corner
+from .hexahedra import add_between, add_corner, add_corner_energy, add_energy_between
+from .plane import add_plane_corner, add_plane_energy
 
 
 @record("i8[::1], f8[:, :, ::1], b1[::1]")
@@ -42,7 +43,7 @@ def places_of_pairs(unknowns: IntArray, starts: IntArray, columns: NDArray[np.in
 
 @kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), i8[::1]")
 def energy_of_cells(x, nodes, start, mask, slope, weight, reference, penalty, which):
-    """Sum of the energy over the hexahedra ``which``, their smallest D and largest f.
+    """Sum of the energy over the cells ``which``, their smallest D and largest f.
 
     Parameters
     ----------
@@ -56,21 +57,23 @@ def energy_of_cells(x, nodes, start, mask, slope, weight, reference, penalty, wh
         eps = 0 the energy is infinite where D <= 0
     which : (k,) numbers of cells
     """
-    points, terms, sums = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((len(slope) + 2, WIDTH)), np.empty((SUMS, WIDTH))
+    samples, corners, d = slope.shape
+    points, terms, sums = np.empty((GRIDS, corners, d, WIDTH)), np.empty((samples + 2, WIDTH)), np.empty((3, WIDTH))
     eps, share, cubic, elastic, _ = penalty
-    for lane in range(WIDTH):
-        sums[ENERGY, lane], sums[LOWEST, lane], sums[HIGHEST, lane] = 0.0, np.inf, 0.0
+    sums[0, :], sums[1, :], sums[2, :] = 0.0, np.inf, 0.0
     for first in range(0, len(which), WIDTH):
         cells = which[first : first + WIDTH]
         some = _gather(x, start, reference, nodes, mask, weight, cells, points, terms)
-        for s in range(len(slope)):
-            if some >> s & 1:
-                add_energy(points, terms, slope, sums, s, eps, share, cubic, elastic if s < 8 else 0.0)
-    total, lowest, highest = 0.0, np.inf, 0.0
-    for lane in range(WIDTH):
-        total += sums[ENERGY, lane]
-        lowest, highest = min(lowest, sums[LOWEST, lane]), max(highest, sums[HIGHEST, lane])
-    return total, lowest, highest
+        for s in range(samples):
+            if not some >> s & 1:
+                continue
+            if d == 2:
+                add_plane_energy(points, terms, sums, s, eps, share, cubic, elastic)
+            elif s < 8:
+                add_corner_energy(points, terms, slope, sums, s, eps, share, cubic, elastic)
+            else:
+                add_energy_between(points, terms, slope, sums, s, eps, share, cubic, 0.0)
+    return sums[0].sum(), sums[1].min(), sums[2].max()
 
 
 @kernel(
@@ -95,26 +98,31 @@ def add_derivatives(
     samples, corners, d = slope.shape
     points, terms, work = np.empty((GRIDS, corners, d, WIDTH)), np.empty((samples + 2, WIDTH)), np.empty((3, 3))
     # Second derivatives (d, d) for pairs of corners in ascending order, after them the first ones (corners, d).
-    result = np.empty((d * d * (corners * (corners + 1) // 2) + corners * d, WIDTH))
-    parts = np.empty((PARTS, WIDTH))
+    size = d * d * (corners * (corners + 1) // 2) + corners * d
+    size += -size % WIDTH
+    result, found = np.empty((size, WIDTH)), np.empty((WIDTH, size))
     eps, share, cubic, elastic, exact = penalty
     for first in range(0, len(which), WIDTH):
         cells = which[first : first + WIDTH]
         some = _gather(x, start, reference, nodes, mask, weight, cells, points, terms)
         result[...] = 0.0
         for s in range(samples):
-            if some >> s & 1:
-                if d == 2:
-                    add_corner(points, terms, slope, result, s, eps, share, cubic, elastic, exact)
-                else:
-                    held = elastic if s < 8 else 0.0
-                    add_sample(points, terms, slope, parts, result, s, eps, share, cubic, held, exact)
+            if not some >> s & 1:
+                continue
+            if d == 2:
+                add_plane_corner(points, terms, result, s, eps, share, cubic, elastic, exact)
+            elif s < 8:
+                add_corner(points, terms, slope, result, s, eps, share, cubic, elastic, exact)
+            else:
+                add_between(points, terms, slope, result, s, eps, share, cubic, 0.0, exact)
+        for row in range(0, size, WIDTH):
+            transpose(result, found, row * WIDTH, row, size)
         for lane in range(len(cells)):
             # Of known size, loops are unrolled.
             if d == 2:
-                _add_cell(nodes, places, cells[lane], 4, 2, result, lane, work, unknowns, rows, matrix, gradient)
+                _add_cell(nodes, places, cells[lane], 4, 2, found, lane, work, unknowns, rows, matrix, gradient)
             else:
-                _add_cell(nodes, places, cells[lane], 8, 3, result, lane, work, unknowns, rows, matrix, gradient)
+                _add_cell(nodes, places, cells[lane], 8, 3, found, lane, work, unknowns, rows, matrix, gradient)
 
 
 @inlined
@@ -142,7 +150,8 @@ def _gather(x, start, reference, nodes, mask, weight, cells, points, terms):
 
 @inlined
 def _add_cell(nodes, places, c, corners, d, found, lane, work, unknowns, rows, matrix, gradient):
-    """Add the derivatives of a cell, a ``lane`` of ``found``, to the rows of its unknowns; see :func:`add_derivatives`.
+    """Add the derivatives of a cell, row ``lane`` of ``found``, to the rows of its unknowns; see
+    :func:`add_derivatives`.
 
     ``nodes[c]`` are its ``corners``, in ``d`` dimensions; ``work`` (3, 3) is room.
     """
@@ -154,7 +163,7 @@ def _add_cell(nodes, places, c, corners, d, found, lane, work, unknowns, rows, m
         if row >= rows[0] and row < rows[1]:
             for i in range(d):
                 for k in range(d):
-                    gradient[row, i] += frame[here, k, i] * found[force + d * n + k, lane]
+                    gradient[row, i] += frame[here, k, i] * found[lane, force + d * n + k]
         for o in range(n, corners):
             at, first, there = places[c, pair] - rows[2], d * d * pair, nodes[c, o]
             pair += 1
@@ -163,14 +172,22 @@ def _add_cell(nodes, places, c, corners, d, found, lane, work, unknowns, rows, m
             if not (plain[here] and plain[there]):
                 _turn(frame, here, there, d, found, lane, first, work)
             if row <= number[there]:
-                for i in range(d):
-                    for k in range(d):
-                        matrix[at, i, k] += found[first + d * i + k, lane]
+                _add_block(matrix, at, found, lane, first, d)
             # Two nodes with the same unknown have both blocks on the diagonal.
             if row > number[there] or (n != o and row == number[there]):
                 for i in range(d):
-                    for k in range(d):
-                        matrix[at, k, i] += found[first + d * i + k, lane]
+                    for k in range(i):
+                        one, two = first + d * i + k, first + d * k + i
+                        found[lane, one], found[lane, two] = found[lane, two], found[lane, one]
+                _add_block(matrix, at, found, lane, first, d)
+
+
+@inlined
+def _add_block(matrix, at, found, lane, first, d):
+    for n in range(0, d * d - 3, 4):
+        add_four(matrix, d * d * at + n, found, lane * found.shape[1] + first + n)
+    if d == 3:
+        matrix[at, 2, 2] += found[lane, first + 8]
 
 
 @inlined
@@ -180,10 +197,10 @@ def _turn(frame, one, two, d, found, lane, first, work):
         for k in range(d):
             work[i, k] = 0.0
             for e in range(d):
-                work[i, k] += frame[one, e, i] * found[first + d * e + k, lane]
+                work[i, k] += frame[one, e, i] * found[lane, first + d * e + k]
     for i in range(d):
         for k in range(d):
             total = 0.0
             for e in range(d):
                 total += work[i, e] * frame[two, e, k]
-            found[first + d * i + k, lane] = total
+            found[lane, first + d * i + k] = total

@@ -1,4 +1,4 @@
-"""The derivatives of the foldover-free energy of plane grids, for eight quadrilaterals at a time.
+"""The foldover-free energy of plane grids and its derivatives, for eight quadrilaterals at a time.
 
 Their sample points are their corners. With A the Jacobian matrix (2, 2) of the map from the undeformed corner to the
 deformed one, and D = det A,
@@ -15,14 +15,14 @@ basis the second derivatives are diagonal but for one 2 x 2 matrix, so their neg
 
 from __future__ import annotations
 
-import itertools
 import math
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
 
 from ...lanes import Array, Lanes, narrow
-from .elements import add, combined, growth, load, plane_slopes, regular, vectors_at
+from .elements import add_energy, add_to_nodes, at_corner, combined, growth, load, plane_slopes, regular
 
 WEIGHT, FORCE = 4, 40
 """Rows of ``terms`` and ``result``, see :mod:`.loops`: from FORCE on first derivatives (4, 2), before second ones
@@ -31,35 +31,52 @@ WEIGHT, FORCE = 4, 40
 _HALF = math.sqrt(0.5)
 
 
+def _map(points: Array, terms: Array, corner: ir.Value) -> tuple[Any, ...]:
+    """The map at a corner of eight cells: its nodes, where it counts as a mask and as 0 or 1, the reciprocal vectors,
+    A, A less that of the reference grid, |A|^2 and D; where it does not count, they are 0, |A|^2 is 2, and D is 1."""
+    nodes, (edges, start, held) = at_corner(points, corner, 2)
+    [count], ((p, q), (r, s)) = load(terms, 0, (1,), corner), start
+    counts = (count * 0.0).below(count)
+    dual = np.array([[s, r * -1.0], [q * -1.0, p]]) * counts.choose(1.0 / (p * s - q * r), 0.0)
+    matrix, strain = edges.T @ dual, (edges - held).T @ dual
+    (a, b), (c, d) = matrix
+    square, det = counts.choose((matrix * matrix).sum(), 2.0), counts.choose(a * d - b * c, 1.0)
+    return nodes, counts, count, dual, matrix, strain, square, det
+
+
 @narrow
-def add_corner(
-    points: Array, terms: Array, slope: Array, result: Array, corner: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes,
+def add_plane_energy(
+    points: Array, terms: Array, sums: Array, corner: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes, elastic: Lanes
+) -> None:
+    """Add the energy at a corner to ``sums``."""
+    _, counts, _, _, _, strain, square, det = _map(points, terms, corner)
+    chi, _ = regular(det, eps)
+    f = 0.5 * (square + det * det + 1.0) / chi
+    add_energy(sums, terms, WEIGHT, counts, det, chi, f, strain, share, cubic, elastic)
+
+
+@narrow
+def add_plane_corner(
+    points: Array, terms: Array, result: Array, corner: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes,
     elastic: Lanes, exact: Lanes,
 ) -> None:  # fmt: skip
     """Add the derivatives of the energy at a corner; of negative second derivatives only the share ``exact``."""
-    weights, (edges, start, reference) = vectors_at(points, slope, corner, 2)
-    [count], [weight, stiff] = load(terms, 0, (1,), corner), load(terms, WEIGHT, (2,))
-    counts, ((p, q), (r, s)) = (count * 0.0).below(count), start
-    # The reciprocal vectors; 0, with D = 1, where the corner does not count.
-    dual = np.array([[s, r * -1.0], [q * -1.0, p]]) * counts.choose(1.0 / (p * s - q * r), 0.0)
-    gradients, matrix, strain = weights @ dual, edges.T @ dual, (edges - reference).T @ dual
-    (a, b), (c, d) = matrix
-    det, square = counts.choose(a * d - b * c, 1.0), counts.choose((matrix * matrix).sum(), 2.0)
+    nodes, counts, count, dual, matrix, strain, square, det = _map(points, terms, corner)
+    [weight, stiff], ((a, b), (c, d)) = load(terms, WEIGHT, (2,)), matrix
     chi, root = regular(det, eps)
-    f, *found = plane_slopes(square, det, chi, root)
+    f, *of_f = plane_slopes(square, det, chi, root)
     share, elastic = share * count, counts.choose(elastic * stiff, 0.0)
     one, two = growth(f)[1:]
-    u, v, _, *second = combined(found, share * (weight + cubic * one), share * cubic * two)
+    u, v, _, *second = combined(of_f, share * (weight + cubic * one), share * cubic * two)
     same, mirrored = [_HALF * (a + d), _HALF * (c - b)], [_HALF * (a - d), _HALF * (b + c)]
     values, vectors = _spectrum(same, mirrored, u, v, second)
     stress = matrix * u + np.array([[d, c * -1.0], [b * -1.0, a]]) * v + strain * elastic
-    add(result, FORCE, gradients @ stress.T)
-    # The changes of A along the eigenvectors (4, 2, 2), and those per displacement of the nodes (4, 2, 4).
+    # The changes of A along the eigenvectors (4, 2, 2), and those per change of the edges (4, 2, 2).
     changes = np.array([[[e[0] + e[2], e[3] - e[1]], [e[1] + e[3], e[0] - e[2]]] for e in vectors]) * _HALF
-    turned = changes @ gradients.T
+    turned = changes @ dual.T
     scaled = [row * (value + elastic).max(exact * (value + elastic)) for row, value in zip(turned, values, strict=True)]
-    for row, (n, o) in enumerate(itertools.combinations_with_replacement(range(4), 2)):
-        add(result, 4 * row, np.array(scaled)[:, :, n].T @ turned[:, :, o])
+    bend = np.array([[np.array(scaled)[:, :, k].T @ turned[:, :, m] for m in range(2)] for k in range(2)])
+    add_to_nodes(result, FORCE, nodes, dual @ stress.T, bend)
 
 
 def _spectrum(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 
 
+@lru_cache
 def sample_slopes(dimension: int) -> FloatArray:
     """Derivatives (27, 8, 3) of the shape functions of a hexahedron's nodes at its sample points along the index axes;
     node a of it is the corner (a >> 2, a >> 1 & 1, a & 1). The corners come first. Those (4, 4, 2) of a quadrilateral's
