@@ -247,7 +247,7 @@ def unpack(compression: str, packed: bytes, size: int) -> bytes:
         raise ValueError(str(error)) from error
     if len(data) != size or not stream.eof:
         found = f"more than {size}" if len(data) > size else f"{len(data)}"
-        raise ValueError(f"it decompresses to {found} bytes, expected {size}")
+        raise ValueError(f"it decompresses to {found} bytes, expected {size}" if len(data) != size else "it has no end")
     return data
 
 
