@@ -8,7 +8,6 @@ from grids import frame, frame_2d
 
 import meshdeform as md
 from meshdeform.grid import wrapped
-from meshdeform.mesh import Repeated
 from meshdeform_core.grid.parts import FileFormat
 from meshdeform_core.quality.gradients import quality_gradient
 from meshdeform_core.repair import untangle
@@ -86,12 +85,6 @@ def test_several_steps_have_the_derivative_of_one(mesh):
     assert found.reason == "the motion was imposed in 2 steps; the derivative is that of one step"
     for a, b in zip(found.jvp(change), one.jvp(change), strict=True):
         np.testing.assert_array_equal(a, b)
-    told: list[str] = []
-    repeated = Repeated(mesh, 2, "auto")
-    assert repeated.derivative(at, told.append) is repeated.derivative(at, told.append)
-    assert told == [f"the derivative is not that of the grid: {found.reason}"]
-    assert (repeated.step(at).steps, repeated.step(at) is repeated.step(at.copy())) == (2, True)
-    assert repeated.step(2 * at) is not repeated.step(at)
 
 
 def test_a_part_of_the_motion_is_told(mesh):

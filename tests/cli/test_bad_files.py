@@ -11,7 +11,6 @@ import h5py
 import numpy as np
 import pytest
 from cgns_witness import two_zones, write_hdf5
-from expected import check_message, with_messages
 
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
@@ -54,23 +53,24 @@ def _damaged_root() -> bytes:
 DIMENSIONS = 12 + 4
 COORDINATES = DIMENSIONS + 8 * 3 * 4 + 4 + 4
 
-# made from the bytes of grid.xyz
-GRIDS = {
-    "empty": lambda good: b"",
-    "truncated-middle": lambda good: good[: len(good) // 2],
-    "dimension-other": _put(DIMENSIONS, "<i4", 6),
-    "nan": _put(COORDINATES, "<f8", np.nan),
-    "line": lambda good: b"1\n1 1 5\n" + b"0 " * 15,
-    "gzip": gzip.compress,
-    "zip": _zip,
-    "hdf5": lambda good: _hdf5(),
-    "hdf5-damaged": lambda good: _damaged_root(),
-    "gmsh": lambda good: b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n",
-    "foam": lambda good: b"FoamFile\n{\n version 2.0;\n}\n",
-    "png": lambda good: b"\x89PNG\r\n\x1a\n" + bytes(99),
-    "npy": lambda good: b"\x93NUMPY\x01\x00" + bytes(99),
-    "vtk-legacy-unstructured": lambda good: (
-        b"# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 0 float\n"
+# id: (made from the bytes of grid.xyz, fragments of the message)
+GRIDS: dict[str, tuple[Callable[[bytes], bytes], tuple[str, ...]]] = {
+    "empty": (lambda good: b"", ("is empty",)),
+    "truncated-middle": (lambda good: good[: len(good) // 2], ("bad.xyz", "bytes")),
+    "dimension-other": (_put(DIMENSIONS, "<i4", 6), ("bad.xyz",)),
+    "nan": (_put(COORDINATES, "<f8", np.nan), ("1 nodes", "not finite", "block1 (1, 1, 1)", "nan")),
+    "line": (lambda good: b"1\n1 1 5\n" + b"0 " * 15, ("block1", "(1, 1, 5)", "at least 2 nodes")),
+    "gzip": (gzip.compress, ("gzip archive", "unpack it first")),
+    "zip": (_zip, ("zip", "unpack it first")),
+    "hdf5": (lambda good: _hdf5(), ("bad.xyz", "CGNS")),
+    "hdf5-damaged": (lambda good: _damaged_root(), ("cannot read bad.xyz as HDF5: it is damaged",)),
+    "gmsh": (lambda good: b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n", ("Gmsh mesh", "unstructured")),
+    "foam": (lambda good: b"FoamFile\n{\n version 2.0;\n}\n", ("OpenFOAM",)),
+    "png": (lambda good: b"\x89PNG\r\n\x1a\n" + bytes(99), ("PNG picture",)),
+    "npy": (lambda good: b"\x93NUMPY\x01\x00" + bytes(99), ("numpy array",)),
+    "vtk-legacy-unstructured": (
+        lambda good: b"# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 0 float\n",
+        ("bad.xyz", "UNSTRUCTURED_GRID"),
     ),
 }
 
@@ -84,18 +84,23 @@ COMMANDS = {
 }
 
 
-def assert_refused(result, message) -> None:
-    assert (result.code, result.out, result.error.count("\n")) == (2, "", 1), result.err
+def assert_refused(result, fragments) -> None:
+    assert result.code == 2, result.err
+    assert result.out == ""
+    assert result.error.startswith("meshdeform: error: ")
+    assert result.error.count("\n") == 1, result.err
     assert result.error[:-1].isprintable(), result.err
-    check_message(result.error, f"meshdeform: error: {message}\n", Path())
+    missing = [fragment for fragment in fragments if fragment not in result.err]
+    assert not missing, result.err
 
 
-@pytest.mark.parametrize(("name", "make", "message"), with_messages("command", GRIDS))
-def test_wrong_grid_is_refused(name, make, message, bench, call, snapshot):
+@pytest.mark.parametrize("name", GRIDS)
+def test_wrong_grid_is_refused(name, bench, call, snapshot):
+    make, fragments = GRIDS[name]
     (bench / "bad.xyz").write_bytes(make((bench / "grid.xyz").read_bytes()))
     before = snapshot(bench)
     for command in COMMANDS if name in ("truncated-middle", "nan") else ("info", "deform"):
-        assert_refused(call(*COMMANDS[command]), message)
+        assert_refused(call(*COMMANDS[command]), fragments)
         assert snapshot(bench) == before
 
 
@@ -104,42 +109,55 @@ def scaled(factor: float) -> Callable[[np.ndarray], str]:
     return lambda good: "\n".join(" ".join(map(str, (*(factor * row[:3]), *row[3:]))) for row in good)
 
 
-# text of a table made from the good rows
-TABLES = {
-    "empty": lambda good: "",
-    "matches-nothing": lambda good: "9 9 9 0.1 0 0\n9 9 8 0.1 0 0\n",
-    "millimetres": scaled(1000.0),
+# id: (text of a table made from the good rows, fragments of the message)
+TABLES: dict[str, tuple[Callable[[np.ndarray], str], tuple[str, ...]]] = {
+    "empty": (lambda good: "", ("bad.csv is empty",)),
+    "matches-nothing": (lambda good: "9 9 9 0.1 0 0\n9 9 8 0.1 0 0\n", ("bad.csv",)),
+    "millimetres": (scaled(1000.0), ("multiplied by 0.001", "different length units")),
 }
 
 
-@pytest.mark.parametrize(("_", "make", "message"), with_messages("table", TABLES))
-def test_wrong_table_is_refused(_, make, message, bench, call, snapshot):
+@pytest.mark.parametrize("name", TABLES)
+def test_wrong_table_is_refused(name, bench, call, snapshot):
+    make, fragments = TABLES[name]
     good = np.loadtxt(bench / "table.csv", delimiter=",", skiprows=1)
     (bench / "bad.csv").write_text(make(good))
     motion = "boundary.body.motion=[{file = 'bad.csv'}]"
     before = snapshot(bench)
     for source in (("-d", "bad.csv"), ("-c", "case.toml", "-s", motion)):
-        assert_refused(call("deform", "grid.xyz", *source, "-o", "out.xyz"), message)
+        assert_refused(call("deform", "grid.xyz", *source, "-o", "out.xyz"), fragments)
         assert snapshot(bench) == before
 
 
-# id: (grid, case text, message): cases that are right in themselves but not for this grid
+# id: (grid, case text, fragments): cases that are right in themselves but not for this grid
 MISMATCHES = {
-    "flat-leaves-plane": ("flat.p2dfmt", 'motion = [{ translate = [0, 0, "0.1*x"] }]'),
-    "table-covers-a-part": ("grid.xyz", 'motion = [{ file = "part.csv", match = "exact" }]'),
-    "grid-of-other-size": ("grid.xyz", 'motion = [{ file = "flat.p2dfmt" }]'),
+    "flat-leaves-plane": (
+        "flat.p2dfmt",
+        'motion = [{ translate = [0, 0, "0.1*x"] }]',
+        ("leaves the plane of the 2-D grid", "expected displacements normal to"),
+    ),
+    "table-covers-a-part": (
+        "grid.xyz",
+        'motion = [{ file = "part.csv", match = "exact" }]',
+        ("40 of 80 selected nodes have no match", "part.csv", "Set a larger tolerance"),
+    ),
+    "grid-of-other-size": (
+        "grid.xyz",
+        'motion = [{ file = "flat.p2dfmt" }]',
+        ("6 x 6 nodes", "no selected block face has this size"),
+    ),
 }
 
 
-@pytest.mark.parametrize(("_", "made", "message"), with_messages("fit", MISMATCHES))
-def test_case_that_does_not_fit_the_grid_is_refused(_, made, message, bench, call, snapshot):
-    grid, motion = made
+@pytest.mark.parametrize("name", MISMATCHES)
+def test_case_that_does_not_fit_the_grid_is_refused(name, bench, call, snapshot):
+    grid, motion, fragments = MISMATCHES[name]
     lines = (bench / "table.csv").read_text().splitlines(keepends=True)
     (bench / "part.csv").write_text("".join(lines[:41]))
     near = 'where = "abs(x) < 0.51 and abs(y) < 0.51"'
     (bench / "wrong.toml").write_text(f'[[boundary]]\nname = "body"\n{near}\nkind = "moving"\n{motion}\n')
     before = snapshot(bench)
-    assert_refused(call("deform", grid, "-c", "wrong.toml", "-o", "out" + grid[-4:].replace("dfmt", ".fmt")), message)
+    assert_refused(call("deform", grid, "-c", "wrong.toml", "-o", "out" + grid[-4:].replace("dfmt", ".fmt")), fragments)
     assert snapshot(bench) == before
 
 

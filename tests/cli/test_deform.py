@@ -24,6 +24,14 @@ def body_nodes(points: np.ndarray) -> np.ndarray:
     return np.abs(points[:, :2]).max(axis=1) < 0.51
 
 
+def report_of(call, *arguments: str, code: int = 0) -> dict:
+    """Run with a JSON report and return it."""
+    result = call(*arguments, "--report", "report.json", "--force", "-q")
+    assert result.code == code, result.err
+    with open("report.json") as file:
+        return json.load(file)
+
+
 @pytest.fixture
 def angle(bench):
     """Set the angle of the body in case.toml."""
@@ -53,6 +61,14 @@ def test_boundaries_go_where_they_were_told(grid, bench, call):
     assert np.abs(after.points - before.points)[interior].max() > 0.01
 
 
+def test_results_go_to_stdout_and_nothing_to_stderr(bench, call):
+    result = call(*RUN)
+    assert result.err == ""
+    for words in ("grid.xyz", "8 blocks", "1,152 nodes", "idw-tfi", "body", "moving", "f_skew minimum", "valid"):
+        assert words in result.out
+    assert "\x1b" not in result.out
+
+
 def test_verbose_tells_the_stages_on_stderr(bench, call):
     result = call(*RUN, "-v", "--repair", "off")
     stages = [line.split()[1] for line in result.err.splitlines() if "compile" not in line]
@@ -67,6 +83,15 @@ def test_threads_are_those_of_our_loops(bench, call, monkeypatch):
         for count in (1, 2):
             call(*RUN, "--threads", str(count), "--force")
             assert parallel.thread_count() == count
+
+
+def test_dry_run_writes_nothing(bench, call, snapshot):
+    before = snapshot(bench)
+    result = call(*RUN[:-2], "--dry-run", "--report", "out.json")
+    assert result.code == 0
+    assert snapshot(bench) == before
+    for words in ("80 moving", "240 fixed", "320 slip", "largest displacement", "alpha        0.1", "nothing written"):
+        assert words in result.out, result.out
 
 
 def test_dry_run_tells_that_the_boundary_crosses_itself(bench, call):
@@ -93,6 +118,13 @@ def test_invalid_cells_give_exit_code_3_and_are_listed(bench, call, angle):
     assert report["valid"] is False
     count = report["quality"]["after"]["invalid_cells"]
     assert count > 0
+    first = report["invalid_cells"][0]
+    assert first["block"].startswith("block")
+    assert len(first["ijk"]) == 3
+    assert min(first["ijk"]) >= 1
+    assert first["min_jacobian"] <= 0
+    assert first["step"] == 1
+    assert first["nearest_patch"] in {"body", "span", "outer"}
     assert len(report["invalid_cells"]) == min(count, 200)
     assert not (bench / "out.xyz").exists(), "make would take it for done"
     assert report["output"] == "out.invalid.xyz"
@@ -153,11 +185,54 @@ def test_automatic_steps_stop_before_the_grid_breaks(bench, call, angle):
     np.testing.assert_allclose(after[near], rotated(before[near], 120.0 * report["reached"]), rtol=0, atol=1e-12)
 
 
+def test_a_motion_that_is_zero_is_said_to_be_zero(bench, call, angle):
+    angle("turn*t")
+    result = call(*RUN)
+    assert result.code == 0
+    assert "nothing moves" in result.err
+    np.testing.assert_array_equal(read_grid("out.xyz").points, read_grid("grid.xyz").points)
+
+
+# --set
+
+
+@pytest.mark.parametrize(
+    ("override", "where", "expected"),
+    [
+        ("method.name=tfi", ("method", "name"), "tfi"),
+        ("method.idw.alpha=1", ("method", "alpha", "value"), 1),
+        ("constants.turn=0", ("boundary", "max_displacement"), 0.0),
+        ("boundary.2.kind=fixed", ("boundary", "slip_nodes"), 0),
+        ('boundary.span.select=["*.kmin"]', ("boundary", "patches", 1, "nodes"), 240),
+        ("boundary.body.motion.1.rotate.angle=0", ("boundary", "max_displacement"), 0.0),
+    ],
+)
+def test_set_overrides_any_key(override, where, expected, bench, call):
+    report = report_of(call, *RUN, "--set", override, "--allow-invalid")
+    found = report
+    for key in where:
+        found = found[key]
+    assert found == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--min-jacobian", "nan"], "command line: repair.min_jacobian = nan; expected a finite number"),
+        (["-s", "method.idw.alpha=x"], "command line: method.idw.alpha = 'x'"),
+    ],
+)
+def test_an_error_of_the_command_line_is_not_blamed_on_the_case_file(words, expected, bench, call):
+    assert expected in call(*RUN, *words).err
+    (bench / "case.toml").write_text("[repair]\nmin_jacobian = nan\n")
+    assert "case.toml: repair.min_jacobian = nan; expected a finite number" in call(*RUN, "-m", "tfi").err
+
+
 # Tables
 
 
 def test_a_table_alone_is_enough(bench, call):
-    report = json.loads(call("deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz", "--report", "-").out)
+    report = report_of(call, "deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz")
     matched = report["boundary"]["matches"][0]
     assert (matched["table"], matched["matched_nodes"], matched["unmatched_nodes"]) == ("table.csv", 80, 560)
     assert matched["table_points_used"] == matched["table_points"]
@@ -168,6 +243,19 @@ def test_a_table_alone_is_enough(bench, call):
     outside = faces[(np.abs(before[faces, :2]).max(axis=1) == 2.0) | np.isin(before[faces, 2], (0.0, 1.0))]
     outside = outside[~near[outside]]
     np.testing.assert_array_equal(after[outside], before[outside])
+
+
+def test_files_of_a_case_are_found_beside_it(bench, call, monkeypatch):
+    text = (bench / "case.toml").read_text()
+    motion = text.index("motion = ")
+    (bench / "case.toml").write_text(
+        text[:motion] + 'motion = [{ file = "table.csv" }]\n' + text[text.index("\n", motion) :]
+    )
+    (bench / "elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    result = call("deform", "../grid.xyz", "-c", "../case.toml", "-o", "out.xyz")
+    assert result.code == 0, result.err
+    assert "80 nodes matched" in result.out
 
 
 # Formats
@@ -201,7 +289,9 @@ def test_tolerance_and_match_reach_the_table(bench, call):
     assert call(*BY_TABLE, "--match", "exact").code == 2
     assert call(*BY_TABLE, "--tolerance", "0.03").code == 0
     match = json.loads((bench / "out.json").read_text())["boundary"]["matches"][0]
-    assert (match["match"], match["max_distance"]) == ("nearest", pytest.approx(0.02))
+    assert match["match"] == "nearest"
+    assert match["max_distance"] == pytest.approx(0.02)
+    assert match["size_ratio"] == pytest.approx(1.0)
     assert call(*BY_TABLE, "--match", "interpolate", "--tolerance", "0.03", "--force").code == 0
     match = json.loads((bench / "out.json").read_text())["boundary"]["matches"][0]
     assert match["match"] == "interpolate"

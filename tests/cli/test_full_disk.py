@@ -13,11 +13,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from fuzz.bench import called, full_after
-from grids import CASE, frame
+from grids import CASE, frame, frame_2d
 
 from meshdeform_core import deform, mending, series
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import write_grid
+from meshdeform_formats.grids import variant_of
+from meshdeform_formats.inputs import bytes_at, least_bytes
 
 
 @pytest.fixture
@@ -79,6 +81,36 @@ def test_a_series_looks_for_room_for_all_levels(bench, call, disk, monkeypatch):
     for path in Path("out").glob("large_0002*"):
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     assert call(*words, "--resume").code == 0
+
+
+VARIANTS = {
+    "c.p3dbin": {"encoding": "binary"},
+    "text.p3dfmt": {},
+    "plane.p2dbin": {},
+    "new.cgns": {},
+    "single.cgns": {"precision": "float32"},
+    "grid.vts": {},
+    "text.vts": {"encoding": "ascii"},
+    "plane.vtk": {},
+    "blocks.vtm": {},
+}
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_no_file_is_smaller_than_foretold(name, tmp_path):
+    grid = frame_2d() if name.startswith("plane") else frame()
+    if name.endswith((".vts", ".vtk")):
+        grid = type(grid).from_blocks([grid.block(0)])
+    path = tmp_path / name
+    variant = variant_of(grid, path, VARIANTS[name])
+    expected = least_bytes(grid, path, variant)
+    write_grid(grid, path, VARIANTS[name])
+    size = bytes_at(path)
+    if name.startswith(("text", "packed")):
+        assert expected == 0
+    else:
+        assert 0.9 * expected < expected <= size
+        assert expected > 0.5 * size or path.suffix in (".cgns", ".vtm", ".vts", ".vtk")
 
 
 PARTS = (0.0, 0.3, 1.0)

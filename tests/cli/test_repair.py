@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -22,17 +23,24 @@ def spoilt(bench, call):
 def test_a_spoilt_grid_is_made_valid(spoilt, bench):
     done = spoilt(
         "repair", "bad.invalid.xyz", "--reference", "grid.xyz", "-c", "case.toml", "-o", "good.xyz",
-        "--report", "r.json", "--report", "r.html",
+        "--report", "r.json", "--report", "r.html", "--report", "r.txt",
     )  # fmt: skip
     assert done.code == 0, done.err
+    assert "repair    " in done.out
     report = json.loads((bench / "r.json").read_text())
     assert report["valid"]
     assert report["output"] == "good.xyz"
     assert report["repair"]["invalid"] + report["repair"]["weak"] > 0
+    assert "Newton steps" in (bench / "r.html").read_text()
     again = spoilt("quality", "good.xyz", "--reference", "grid.xyz")
     assert again.code == 0
     before, after = (read_grid(bench / name).points for name in ("bad.invalid.xyz", "good.xyz"))
     assert np.abs(before - after).max() > 0.01
+
+
+def test_the_text_of_a_deformation_tells_that_a_repair_followed(call, bench):
+    done = call("deform", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=90", "-o", "turned.xyz")
+    assert re.search(r"^steps +\d+, then repaired \(below\)$", done.out, re.MULTILINE), done.out + done.err
 
 
 def test_walls_that_have_passed_through_each_other_are_reported(call, bench):

@@ -12,7 +12,9 @@ from meshdeform_cli import process
 
 
 def test_boundaries_are_kept_beside_what_has_no_place_for_them(bench, call):
-    assert call("convert", "grid.cgns", "new.xyz").code == 0
+    result = call("convert", "grid.cgns", "new.xyz")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.rstrip().endswith("boundaries in new.nmf")
     before, after = (
         json.loads(call("info", *source, "--json").out)["surfaces"]
         for source in (("grid.cgns",), ("new.xyz", "--boundary-file", "new.nmf"))

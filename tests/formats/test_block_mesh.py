@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from expected import entries
 from poly_mesh_witness import read_mesh, run_foam, write_system
 from scipy.spatial import cKDTree
 
@@ -15,7 +15,7 @@ from meshdeform_core.grid import Grid, Side
 from meshdeform_core.grid.connections import connected_nodes, periodic_rotation
 from meshdeform_core.grid.topology import find_topology, quads_of_patches
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.openfoam.block_mesh_dict import Section, arc_about, arc_by_angle, arc_through, divide, spline
+from meshdeform_formats.openfoam.block_mesh_dict import Section, arc_about, arc_by_angle, arc_through, divide
 
 HEAD = "FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }\n"
 CUBE = "vertices ((0 0 0) (1 0 0) (1 1 0) (0 1 0) (0 0 1) (1 0 1) (1 1 1) (0 1 1));\n"
@@ -209,15 +209,41 @@ def test_macros_of_dictionaries_and_lists(tmp_path):
     assert steps[-1] / steps[0] == pytest.approx(2.0)
 
 
-HUGE = ("huge", HEAD + ONE.replace("(4 3 2)", "(1000000000 1 1)"), "blockMeshDict describes 4,000,000,004 nodes, ")
+SIDE = "type wall; faces ((0 1 2 3));"
+BAD = {
+    "calc": (ONE.replace("(4 3 2)", '(4 3 #calc "1+1")'), "#calc is not evaluated.*foamDictionary"),
+    "include": ('#include "other"\n' + ONE, "#include is not evaluated"),
+    "merge": (ONE + "mergePatchPairs ((a b));", "mergePatchPairs is not supported"),
+    "projected": (ONE.replace("((0 0 0)", "(project (0 0 0) (s)"), "project is not supported"),
+    "projected faces": (ONE + "faces (project (0 1 2 3) s);", "faces is not supported"),
+    "huge": (ONE.replace("(4 3 2)", "(1000000000 1 1)"), "4,000,000,004 nodes"),
+    "no cells": (ONE.replace("(4 3 2)", "(4 0 2)"), "4 x 0 x 2 cells"),
+    "deep": (ONE + "x " + "(" * 2000, "nested more than 50 deep"),
+    "bomb": ("a 1 1;" + "".join(f"{b} {8 * f'${a} '};" for a, b in pairwise("abcdefghijk")) + ONE, "more values than"),
+    "vertex": (ONE.replace("5 6 7)", "5 6 8)"), "there is no vertex 8"),
+    "macro": (ONE.replace("(4 3 2)", "$cells"), r"\$cells refers to an entry that does not exist"),
+    "open": (ONE.rstrip()[:-2], "ends within"),
+    "comment": (ONE + "/* no end", "comment begins here"),
+    "grading": (CUBE + BLOCK.replace("(1 1 1)", "(1 0 1)"), "expansion ratio of 0"),
+    "section": (CUBE + BLOCK.replace("(1 1 1)", "(((1 0.01 1) (1 0.99 1)) 1 1)"), "a section has no cells"),
+    "edge": (ONE + "edges (circle 0 1 (0 0 0));", "'circle' are not supported; known are arc"),
+    "straight arc": (ONE + "edges (arc 0 1 (0.5 0 0));", "lie on one line"),
+    "patch": (ONE + "boundary (a { type wall; faces ((0 1 2 5)); });", "is not a side of any block"),
+    "twice": (ONE + f"boundary (a {{ {SIDE} }} b {{ {SIDE} }});", "belongs to the patches a and b"),
+    "no faces": (ONE + "boundary (a { type wall((0 1 2 3)); });", "the patch 'a' has no faces"),
+    "no type": (ONE + "boundary (a { faces ((0 1 2 3)); });", "the patch 'a' has no type"),
+    "neighbour": (ONE + "boundary (a { type cyclic; neighbourPatch b; faces ((0 1 2 3)); });", "does not have it"),
+    "other": ("FoamFile { class volScalarField; object p; }\n", "of class volScalarField; expected a blockMeshDict"),
+    "control": (HEAD + "application icoFoam;", "without vertices; expected a blockMeshDict"),
+    "number": (ONE.replace("(1 1 0)", "(1 nan 0)"), "expected three coordinates of a vertex, found 'nan'"),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "text", "message"), [HUGE, *entries("bad_blockMeshDict.txt")])
-def test_refusals_say_where_and_what(name, text, message, tmp_path):
-    with pytest.raises(FormatError) as error:
-        read(tmp_path, text)
-    assert str(error.value) == f"{tmp_path}/{message}" or name == "huge"
-    assert str(error.value).startswith(f"{tmp_path}/{message}")
+@pytest.mark.parametrize("name", BAD)
+def test_refusals_say_where_and_what(name, tmp_path):
+    text, message = BAD[name]
+    with pytest.raises(FormatError, match=message):
+        read(tmp_path, text if text.startswith("FoamFile") else HEAD + text)
 
 
 def test_neighbours_must_agree_on_their_common_edges(tmp_path):
@@ -241,69 +267,3 @@ def test_cases_are_read_by_folder_and_by_foam_file(tmp_path):
     (tmp_path / "system/blockMeshDict").write_text(HEAD + ONE)
     (tmp_path / "case.foam").write_text("")
     assert read_grid(tmp_path).shapes == read_grid(tmp_path / "case.foam").shapes == ((5, 4, 3),)
-
-
-def hermite(points: list[list[float]], smooth: bool, at: np.ndarray) -> np.ndarray:
-    """Through all points: straight between them, or with the slopes of the chords of their neighbours."""
-    p = np.array(points)
-    p = np.concatenate([2 * p[:1] - p[1:2], p, 2 * p[-1:] - p[-2:-1]])
-    place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(p[1:-1], axis=0), axis=1))])
-    found = []
-    for s in at * place[-1]:
-        n = min(int(np.searchsorted(place, s, side="right")), len(place) - 1)
-        t = (s - place[n - 1]) / (place[n] - place[n - 1])
-        a, b = p[n], p[n + 1]
-        slopes = ((b - p[n - 1]) / 2, (p[n + 2] - a) / 2) if smooth else (b - a, b - a)
-        hat = (2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, 3 * t**2 - 2 * t**3, t**3 - t**2)
-        found.append(hat[0] * a + hat[1] * slopes[0] + hat[2] * b + hat[3] * slopes[1])
-    return np.array(found)
-
-
-AT, WAY = np.linspace(0, 1, 9), [[0, 0, 0], [0.25, 0.5, 0.1], [0.5, 0.25, -0.1], [1, 0, 0]]
-THROUGH = "((0.25 0.5 0.1) (0.5 0.25 -0.1))"
-
-
-def arc(centre: tuple[float, float], turn: float) -> np.ndarray:
-    """From (0, 0) by ``turn`` degrees, left-handed about z, around a centre."""
-    angle = np.radians(turn) * AT
-    x, y = -np.array(centre)
-    across, upwards = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
-    return np.stack([across + centre[0], upwards + centre[1], 0 * AT], axis=1)
-
-
-ACROSS = np.sqrt(0.5) * 1.5
-EDGES = {
-    "line 0 1": AT[:, None] * [1, 0, 0],
-    "arc 0 1 (0.5 0.5 0)": arc((0.5, 0), 180),
-    "arc 1 0 (0.5 0.5 0)": arc((0.5, 0), 180),
-    "arc 0 1 -90 (0 0 1)": arc((0.5, -0.5), 90),
-    "arc 1 0 90 (0 0 2)": arc((0.5, -0.5), 90),
-    "arc 0 1 -270 (0 0 1)": arc((0.5, 0.5), 270),
-    "arc 0 1 origin (0.5 -0.5 0)": arc((0.5, -0.5), 90),
-    "arc 0 1 origin 1.5 (0.5 -0.5 0)": arc((0.5, -np.sqrt(ACROSS**2 - 0.25)), 2 * np.degrees(np.arcsin(0.5 / ACROSS))),
-    f"polyLine 0 1 {THROUGH}": hermite(WAY, False, AT),
-    f"spline 0 1 {THROUGH}": hermite(WAY, True, AT),
-    "spline 1 0 ((0.5 0.25 -0.1) (0.25 0.5 0.1))": hermite(WAY, True, AT),
-    # The first of two counts, in whichever direction.
-    "arc 0 1 (0.5 0.5 0) line 0 1 line 1 0": arc((0.5, 0), 180),
-}
-
-
-@pytest.mark.parametrize("edge", EDGES)
-def test_curved_edges(edge, tmp_path):
-    grid = read(tmp_path, HEAD + CUBE + BLOCK.replace("(4 3 2)", "(8 3 2)") + f"edges ({edge});")
-    np.testing.assert_allclose(grid.block(0)[:, 0, 0], EDGES[edge], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(grid.block(0)[:, -1, 0], AT[:, None] * [1, 0, 0] + [0, 1, 0], rtol=0, atol=1e-15)
-
-
-def test_b_splines_are_those_of_their_control_points(tmp_path):
-    """Uniform and cubic, by its four weights; at the ends of segments blockMesh takes the control points themselves."""
-    grid = read(tmp_path, HEAD + CUBE + BLOCK.replace("(4 3 2)", "(8 3 2)") + f"edges (BSpline 0 1 {THROUGH});")
-    p = np.array([[-0.25, -0.5, -0.1], *WAY, [1.5, -0.25, 0.1]])
-    place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(p[1:-1], axis=0), axis=1))])
-    for s, node in zip(AT[1:-1] * place[-1], grid.block(0)[1:-1, 0, 0], strict=True):
-        n = int(np.searchsorted(place, s))
-        t = (s - place[n - 1]) / (place[n] - place[n - 1])
-        weights = np.array([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]) / 6
-        np.testing.assert_allclose(node, weights @ p[n - 1 : n + 3], atol=1e-14)
-    np.testing.assert_array_equal(spline(np.array(WAY), "BSpline")(place / place[-1]), WAY)

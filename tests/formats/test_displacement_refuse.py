@@ -8,7 +8,6 @@ import h5py
 import meshio
 import numpy as np
 import pytest
-from expected import check_message, entries
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Field, Grid
@@ -18,13 +17,38 @@ from meshdeform_formats.displacement import read_displacement
 POINTS = np.arange(12.0).reshape(4, 3)
 ROW = "1 2 3 4 5 6\n"
 
+TEXTS = {
+    "": "is empty",
+    "# nothing\n": "has no rows of numbers",
+    "x,y,z,dx,dy,dz\n": "has no rows of numbers below the header 'x,y,z,dx,dy,dz'",
+    "1 2 3 4 5\n": "line 1: found 5 columns without names; expected 6 (x y z dx dy dz) or 4 (x y dx dy) or 3 (number",
+    ROW + "\n# c\n1 2 3 4 5\n": "line 4: found 5 columns; expected 6 as before",
+    ROW + "2 2 3 4 5 6 7\n": "line 2: found 7 columns; expected 6 as before",
+    ROW + "2 2 3 4 5 six\n": "line 2: 'six' is not a number",
+    ROW + "2 2 3 4 5 1.0D+00\n": "line 2: '1.0D+00' is not a number",
+    ROW + "2 2 3 4 5 6_0\n": "line 2: '6_0' is not a number",
+    ROW + "2 2 3 4 5 \u0666\n": "line 2: '\u0666' is not a number",
+    "1,2,3,4,5,6\n2,2,3,,5,6\n": "line 2: '' is not a number",
+    "x y z dx dy dz n\n1 2 3 4 5 6 a\n2 3 4 5\n": "line 3: found 4 columns; expected 7 as before",
+    "x y z dx dy dz n\n1 2 3 4 5 b a\n": "line 2: 'b' is not a number",
+    ROW + "# c\n2 2 3 4 5 nan\n": "line 3: the displacement (4, 5, nan) is not finite (1 such row)",
+    ROW + "-inf 2 3 4 5 6\n": "line 2: the point (-inf, 2, 3) is not finite",
+    ROW + "2 2 3 4 5 6\n\n1 2 3 4 5 7\n": "(4, 5, 6) in line 1 and (4, 5, 7) in line 4; keep one of them",
+    "x[m] y[m] z[m] dx[mm] dy[mm] dz[mm]\n" + ROW: "lengths in m, mm; expected all in the grid's unit",
+    "x y z(m) dx dy dz(Inch)\n" + ROW: "lengths in inch, m; expected all in the grid's unit",
+    "a b c d e f\n" + ROW: "expected a name for each of 6 columns, x y z (or x y) and dx dy dz (or dx dy) among them",
+    "x y z p q r\n" + ROW: "found 'x' 'y' 'z' 'p' 'q' 'r'",
+    "1,5;2,5;3,0;4,0;5,0;6,0\n" * 2: "found '1,5' '2,5'",
+}
 
-@pytest.mark.parametrize(("_", "text", "message"), entries("bad_displacements.txt"))
-def test_wrong_texts(tmp_path, _, text, message):
+
+@pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
+def test_wrong_texts(tmp_path, text):
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     with pytest.raises(FormatError) as error:
         read_displacement(tmp_path / "a.csv")
-    check_message(error.value, message, tmp_path)
+    assert str(error.value).startswith(str(tmp_path / "a.csv"))
+    assert TEXTS[text] in str(error.value)
 
 
 @pytest.mark.parametrize(("name", "data", "message"), [
@@ -94,21 +118,22 @@ CELLS = {
     "2 9\n4 0 1 2 3 3 1 3 2": [[0, 1, 2], [0, 2, 3], [1, 3, 2]],
     "2 3\nOFFSETS int\n0 3\nCONNECTIVITY int\n0 1 2": [[0, 1, 2]],
     "0 0\n": [],
+    "1 4\n3 0 1 4": "triangles refer to points 0 to 4 of 4",
+    "2 8\n3 0 1 2 4 1 3 2": "line 8: POLYGONS: the 8 entries are not 2 cells",
+    "2 9\n3 0 1 2 3 1 3 2": "something that is not a number",
+    "2 3\nOFFSETS int\n0 2\nCONNECTIVITY int\n0 1 2": "the offsets of the cells do not ascend from 0 to 3",
+    "2 3\nOFFSETS int\n0 3\n0 1 2": "expected 'CONNECTIVITY type' of POLYGONS, found '0 1 2'",
 }
 
 
 @pytest.mark.parametrize("cells", CELLS, ids=range(len(CELLS)))
 def test_polygons(tmp_path, cells):
     (tmp_path / "a.vtk").write_text(POLYGONS.format(cells=cells))
-    assert read_displacement(tmp_path / "a.vtk").triangles.tolist() == CELLS[cells]
-
-
-@pytest.mark.parametrize(("_", "text", "message"), entries("bad_polygons.txt"))
-def test_wrong_polygons(tmp_path, _, text, message):
-    (tmp_path / "a.vtk").write_text(text)
-    with pytest.raises(FormatError) as error:
-        read_displacement(tmp_path / "a.vtk")
-    check_message(error.value, message, tmp_path)
+    if isinstance(CELLS[cells], list):
+        assert read_displacement(tmp_path / "a.vtk").triangles.tolist() == CELLS[cells]
+    else:
+        with pytest.raises(FormatError, match=re.escape(CELLS[cells])):
+            read_displacement(tmp_path / "a.vtk")
 
 
 def unstructured(types="5", offsets="3", connectivity="0 1 2"):
@@ -155,7 +180,6 @@ OBJECT = np.array([{}], dtype=object)
     ({"points": POINTS[:0], "displacement": POINTS[:0]}, "has no points with displacements"),
     ({"points": POINTS, "displacement": POINTS, "triangles": [[0, 1, 9]]}, "triangles refer to points 0 to 9 of 4"),
     ({"points": POINTS, "displacement": OBJECT}, "allow_pickle=False"),
-    ({"points": POINTS, "displacement": POINTS, "triangles": [[0.0, 1.5, 2.0]]}, "expected row numbers of points"),
 ])  # fmt: skip
 def test_wrong_arrays(tmp_path, arrays, message):
     path = tmp_path / ("a.npz" if isinstance(arrays, dict) else "a.npy")
@@ -279,22 +303,3 @@ def test_binary_data_of_gmsh_out_of_order(tmp_path):
         (tmp_path / "a.msh").write_bytes(head + mark + swapped.replace(b"????", struct.pack("i", 3)))
         with pytest.raises(FormatError):
             read_displacement(tmp_path / "a.msh")
-
-
-AVS = "4 2 3 0 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 1 1 0\n1 1 tri 1 2 3\n2 1 tri 2 4 3\n1 3\ndisplacement, m\n"
-
-
-def test_a_surface_of_avs(tmp_path):
-    (tmp_path / "a.avs").write_text(AVS + "4 0 0 4\n2 0 0 2\n3 0 0 3\n1 0 0 1\n")
-    found = read_displacement(tmp_path / "a.avs")
-    np.testing.assert_array_equal(found.points, [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    np.testing.assert_array_equal(found.displacement, [[0, 0, n] for n in (1, 2, 3, 4)])
-    assert found.triangles.tolist() == [[0, 1, 2], [1, 3, 2]]
-
-
-@pytest.mark.parametrize(("_", "text", "message"), entries("bad_avs.txt"))
-def test_what_meshio_would_misread_of_avs(tmp_path, _, text, message):
-    (tmp_path / "a.avs").write_text(text)
-    with pytest.raises(FormatError) as error:
-        read_displacement(tmp_path / "a.avs")
-    check_message(error.value, message, tmp_path)

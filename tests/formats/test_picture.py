@@ -1,11 +1,9 @@
 """What pictures show: polygons against geometry, choices for every sample, colours that tell."""
 
 import io
-import tomllib
 
 import numpy as np
 import pytest
-from expected import entries
 from grids import block_around, frame, frame_2d, plenum, polar
 from PIL import Image
 
@@ -15,15 +13,7 @@ from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
-from meshdeform_formats.picture.overview import (
-    PlotOptions,
-    moved_walls,
-    overview,
-    picture,
-    quality_planes,
-    telling_plane,
-    worst_cells,
-)
+from meshdeform_formats.picture.overview import moved_walls, overview, quality_planes, telling_plane, worst_cells
 from meshdeform_formats.picture.page import INVALID_COLOUR, Page, Panel, Scale, page_bytes
 from meshdeform_formats.picture.raster import render
 from meshdeform_formats.picture.scene import (
@@ -232,67 +222,3 @@ def test_thin_invalid_cells_have_edges_of_their_colour():
     with Image.open(io.BytesIO(page_bytes(Page.of([panel], Scale())))) as png:
         pixels = np.asarray(png.convert("RGB")) / 255
     assert (np.abs(pixels - INVALID_COLOUR).max(axis=-1) < 0.3).sum() > 40
-
-
-@pytest.mark.parametrize(("options", "_", "message"), entries("bad_pictures.txt"))
-def test_options_that_make_no_picture(options, _, message):
-    """Of a frame, or where the metric is of another grid, of one that moved; ``flat`` is a plane grid."""
-    given = tomllib.loads(options.replace("; ", "\n"))
-    flat, walls = given.pop("flat", False), given.pop("walls", True)
-    grid = frame_2d() if flat else frame() if walls else Grid.from_blocks([block_around(*(np.linspace(0, 1, 3),) * 3)])
-    with pytest.raises(CaseError) as error:
-        picture(subject(grid), PlotOptions(**given | {"select": tuple(given.get("select", ()))}))
-    assert str(error.value) == message
-
-
-def test_options_are_understood():
-    assert [PlotOptions(plane=text).layer for text in ("k=3", "i=mid", "z=-.25e1", None)] == [
-        ("k", 3.0), ("i", None), ("z", -2.5), ("", None),
-    ]  # fmt: skip
-    assert [PlotOptions(zoom=each).window for each in ("worst", "walls", None)] == [None] * 3
-    for zoom in ("0,1,-2,3", (0, 1, -2, 3)):
-        assert PlotOptions(zoom=zoom).window == Window(0, 1, -2, 3)
-    assert PlotOptions("volume", limits="1,2.5", log=True).scale == Scale("volume", (1.0, 2.5), True)
-    assert PlotOptions().scale == Scale("f_skew", None, False)
-    for name, value in (("plane", "k=1"), ("select", ("*",)), ("zoom", "walls"), ("view", "x")):
-        assert not PlotOptions(**{name: value}).plain
-    assert PlotOptions("volume", limits="0,1", log=True).plain
-    assert PlotOptions().direction is None
-    for view in ("y", "0,-2,0"):
-        np.testing.assert_allclose(PlotOptions(view=view).direction.towards, [0, -1, 0], atol=1e-15)
-    assert PlotOptions(view="iso").direction.towards == pytest.approx(iso().towards)
-
-
-def test_pictures_show_what_their_options_name():
-    """Of a frame whose z goes from 0 to 1 in three layers."""
-    s = subject(frame())
-
-    def shown(**options):
-        page = picture(s, PlotOptions(**options), "title")
-        assert page.title == "title"
-        corners = page.panels[0].scene.facets.corners
-        return page, corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-
-    planes = {"k=2": (2, 1 / 3), "k=mid": (2, 1 / 3), "z=0.4": (2, 0.4), "y=1": (1, 1.0), "x=-1": (0, -1.0)}
-    for plane, (axis, place) in planes.items():
-        page, low, high = shown(plane=plane)
-        assert (low[axis], high[axis]) == pytest.approx((place, place))
-        others = [n for n in range(3) if n != axis]
-        np.testing.assert_allclose(np.stack([low, high])[:, others], np.array([[-2, -2, 0], [2, 2, 1]])[:, others])
-        assert (len(page.panels), page.panels[0].scene.view.flat) == (1, True)
-        assert abs(page.panels[0].scene.view.towards[axis]) == 1
-    page, low, high = shown(select=("block1.imin", "block1.kmax"), view="0,0,1")
-    np.testing.assert_allclose([low, high], [[-2, -2, 0], [-0.5, -0.5, 1]], atol=1e-6)
-    np.testing.assert_allclose(page.panels[0].scene.view.towards, [0, 0, 1], atol=1e-15)
-    # The whole of an extruded grid is seen from its end.
-    np.testing.assert_allclose(shown(view="iso")[1:], [[-2, -2, 0], [2, 2, 0]], atol=1e-6)
-    page, *_ = shown(plane="k=1", zoom="walls")
-    assert page.panels[0].window.left > -1
-    assert shown(plane="k=1", zoom=(0, 1, 0.5, 0.75))[0].panels[0].window == Window(0, 1, 0.5, 0.75)
-    # At the edge of the grid nothing is seen, just before it something is.
-    assert shown(plane="k=1", zoom=(1.99, 3, 1.99, 3))[0].panels
-    (worst,) = shown(zoom="worst", metric="volume")[0].panels
-    block, cell = worst_cell(s, "volume")
-    assert worst.title == f"worst cell: {s.grid.label(block, cell)}"
-    both = picture(subject(frame(), frame()), PlotOptions("volume_ratio", zoom="worst")).panels
-    assert [panel.title[:11] for panel in both] == ["before", "worst cell:"]

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from expected import check_message, entries, with_messages
 from plot3d_witness import ENCODINGS, ascii_file, binary_file, fortran_record, sample_blocks, sample_iblank
 
 from meshdeform_core.errors import FormatError, GridError
@@ -138,40 +137,58 @@ def record(data: np.ndarray) -> bytes:
     return fortran_record(data.tobytes())
 
 
-BAD = {
-    "truncated Fortran": FORTRAN[:-40],
-    "a line of nodes": binary_file(sample_blocks([(5, 1, 1)]), encoding="fortran"),
-    "truncated between records": FORTRAN[: -576 - 8],
-    "truncated header": FORTRAN[:30],
-    "truncated stream": STREAM[:-8],
-    "bytes behind the stream": STREAM + bytes(12),
-    "a record too many": FORTRAN + fortran_record(bytes(8), ">"),
-    "wrong marker behind a record": changed(FORTRAN, len(FORTRAN) - 4, ints(575, order=">")),
-    "wrong marker before a record": changed(FORTRAN, 44, ints(1439, order=">")),
-    "last subrecord of none": changed(FORTRAN, len(FORTRAN) - 4, ints(-576, order=">")),
-    "no last subrecord": changed(FORTRAN, len(FORTRAN) - 584, ints(-576, order=">")),
-    "more blocks than records": header(2, 3, 4, 2, 3, 4, count=2) + record(np.ones(72)),
-    "more blocks than sizes": header(2, 3, 4, count=2) + record(np.ones(72)),
-    "absurd sizes": header(2000000000, 2000000000, 2000000000) + record(np.ones(72)),
-    "a solution file": header(2, 3, 4) + record(np.ones(4)) + record(np.ones(120)),
-    "only zeros": bytes(1000),
-    "random bytes": b"\0" + np.random.default_rng(5).bytes(999),
-    "truncated text": TEXT[: TEXT.rindex(" ")].encode(),
-    "numbers behind": (TEXT + "1.0 2.0\n").encode(),
-    "a comment": ("# a grid\n" + TEXT).encode(),
-    "iblank that is no integer": ascii_file(BLOCKS, [np.full(b.shape[:3], 1) for b in BLOCKS])
-    .replace(" 1 1 1 1", " 1 1 1.5 1")
-    .encode(),
+BINARY = {
+    "truncated Fortran": (
+        FORTRAN[:-40],
+        r"big-endian Fortran \(4-byte markers\) float64 multi-block 3-D with 2 blocks \(3x4x5, 2x3x4\): "
+        rf"the file should have {len(FORTRAN)} bytes but has {len(FORTRAN) - 40}: truncated by 40; "
+        r"record 4 at byte \d+ declares 576 bytes of data and 540 follow",
+    ),
+    "a line of nodes": (binary_file(sample_blocks([(5, 1, 1)]), encoding="fortran"), "at least 2 nodes along two ind"),
+    "truncated between records": (FORTRAN[: -576 - 8], "truncated by 584; record 4 is missing"),
+    "truncated header": (FORTRAN[:30], "fits no variant of Plot3D|is not a Plot3D grid"),
+    "truncated stream": (STREAM[:-8], f"C binary float64.*should have {len(STREAM)} bytes.*truncated by 8"),
+    "bytes behind the stream": (STREAM + bytes(12), "12 too many"),
+    "a record too many": (FORTRAN + fortran_record(bytes(8), ">"), "16 too many; record 5 is surplus"),
+    "wrong marker behind a record": (changed(FORTRAN, len(FORTRAN) - 4, ints(575, order=">")), "576 before.*575 after"),
+    "wrong marker before a record": (changed(FORTRAN, 44, ints(1439, order=">")), "record 3 at byte 44"),
+    "last subrecord of none": (changed(FORTRAN, len(FORTRAN) - 4, ints(-576, order=">")), "576 before.*-576 after"),
+    "no last subrecord": (changed(FORTRAN, len(FORTRAN) - 584, ints(-576, order=">")), "record 4 lacks its last"),
+    "more blocks than records": (header(2, 3, 4, 2, 3, 4, count=2) + record(np.ones(72)), "record 4 is missing"),
+    "more blocks than sizes": (header(2, 3, 4, count=2) + record(np.ones(72)), r"\[2, 2, 3, 4.*not a block count"),
+    "absurd sizes": (header(2000000000, 2000000000, 2000000000) + record(np.ones(72)), r"its header \[1, 2000000000"),
+    "a solution file": (header(2, 3, 4) + record(np.ones(4)) + record(np.ones(120)), "record 3 holds 32 bytes where"),
+    "only zeros": (bytes(1000), "is not a Plot3D grid: its first numbers are not a block count"),
+    "random bytes": (b"\0" + np.random.default_rng(5).bytes(999), "fits no variant of Plot3D|is not a Plot3D grid"),
+}
+
+ASCII = {
+    "truncated text": (TEXT[: TEXT.rindex(" ")], r"ASCII multi-block 3-D with 2 blocks.*should have 259 numbers.*by 1"),
+    "numbers behind": (TEXT + "1.0 2.0\n", "2 too many"),
+    "a comment": ("# a grid\n" + TEXT, r"line 1: found '#' where a Plot3D text has a number"),
+    "two numbers grown together": ("1 2 2 1\n0.5\n1.234567-12.3456789 3 4", "line 3: found '1.234567-12.3456789'"),
+    "null value over lines": ("1\n2 2 1\n1.0,\n  ,2.0 3.0", "line 4: no number before a comma"),
+    "slash": ("1\n2 2 1\n1.0 2.0 /", "line 3: found '/'"),
+    "absurd repeat count": ("1\n2 2 1\n999999999999*1.0", "line 1: from here on repeat counts give 1000000000003"),
+    "underscores": ("1\n2 2 1\n1_0 2", "line 3: found '1_0'"),
+    "sizes that are no integers": ("1\n2.5 2 1\n" + "1.0 " * 12, "no variant|not a Plot3D grid"),
+    "absurd size": ("1\n99999 99999 99999\n1.5 2.5", "fits no variant|is not a Plot3D grid"),
+    "nothing but blanks": (" \n\t\n", "is not a Plot3D grid"),
+    "iblank that is no integer": (
+        ascii_file(BLOCKS, [np.full(b.shape[:3], 1) for b in BLOCKS]).replace(" 1 1 1 1", " 1 1 1.5 1"),
+        "has the size for IBLANK values, but one of them is 1.5",
+    ),
 }
 
 
-@pytest.mark.parametrize(("name", "content", "message"), [*with_messages("plot3d", BAD), *entries("bad_plot3d.txt")])
-def test_bad_files(tmp_path, name, content, message):
+@pytest.mark.parametrize("name", BINARY | ASCII)
+def test_bad_files(tmp_path, name):
+    content, message = (BINARY | ASCII)[name]
     path = tmp_path / "bad.xyz"
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    with pytest.raises((FormatError, GridError)) as caught:
+    path.write_bytes(content.encode("latin1") if isinstance(content, str) else content)
+    with pytest.raises((FormatError, GridError), match=message) as caught:
         read_grid(path)
-    check_message(caught.value, message, tmp_path)
+    assert str(path) in str(caught.value)
 
 
 def test_the_line_is_right_behind_many_pieces(tmp_path, monkeypatch):

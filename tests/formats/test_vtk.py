@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import vtk_witness
-from expected import check_message, entries
 from vtkmodules import vtkCommonCore
 
 from meshdeform_core.errors import FormatError
@@ -210,13 +209,37 @@ def header(kind="STRUCTURED_GRID", rest=""):
 
 SQUARE = "DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1 1 0\n"
 
+LEGACY = {
+    "# vtk DataFile Version 3.0\ntitle\nTEXT\n": "line 3: expected ASCII or BINARY, found 'TEXT'",
+    "# vtk DataFile Version 3.0\ntitle\nASCII\nPOINTS 3 float\n": "line 4: expected 'DATASET kind', found 'POINTS 3",
+    header("POLYDATA"): "is a polygon surface (DATASET POLYDATA); expected a structured grid",
+    header(rest=""): "has no DIMENSIONS",
+    header(rest="DIMENSIONS 2 2 1\n"): "has no POINTS",
+    header(rest="DIMENSIONS 3.7 2 1\n"): "expected 3 whole numbers",
+    header(rest="DIMENSIONS 0 2 1\nPOINTS 0 float\n"): "is an empty grid: 0 x 2 x 1 nodes",
+    header(rest="DIMENSIONS 2 3 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1 1 0\n"): "has 4 points; its DIMENSIONS",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1\n1.0\n"): "expected 12 values, found 11",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1\nCELL_DATA 1\n"): "something that is not a number",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1 5E-\n0\n"): "something that is not a number",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 4 half\n"): "line 6: POINTS: unknown type 'half'; known are char",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS -4 float\n"): "line 6: expected a number, found '-4'",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 999999999999 float\n1"): "need 5999999999993 bytes, 1 are left",
+    header(rest=SQUARE + "POINT_DATA 4\nSCALARS p float\n1 2 3 4\n"): "expected 'LOOKUP_TABLE name' after SCALARS",
+    header(rest=SQUARE + "POINT_DATA 4\nVECTORS v float\n1 2 3\n"): "array 'v': 12 values need 23 bytes, 6 are left",
+    header(rest=SQUARE + "POINT_DATA 3\nSCALARS p float\nLOOKUP_TABLE t\n1 2 3\n"): "node array 'p' has 3 values",
+    header(rest=SQUARE + "POINT_DATA 4\nFIELD f 1\np 1 4\n1 2 3 4\n"): "expected 'name components tuples type'",
+    header(rest=SQUARE + "PIXELS 4\n"): "expected a section of a VTK file, found 'PIXELS 4'",
+    header("RECTILINEAR_GRID", "DIMENSIONS 2 1 1\n"): "is a rectilinear grid; save it as a structured grid",
+}  # fmt: skip
 
-@pytest.mark.parametrize(("_", "text", "message"), entries("bad_vtk.txt"))
-def test_wrong_legacy_files(tmp_path, _, text, message):
+
+@pytest.mark.parametrize("text", LEGACY, ids=range(len(LEGACY)))
+def test_wrong_legacy_files(tmp_path, text):
     (tmp_path / "a.vtk").write_text(text)
     with pytest.raises(FormatError) as error:
         read_grid(tmp_path / "a.vtk")
-    check_message(error.value, message, tmp_path)
+    assert str(error.value).startswith(f"{tmp_path / 'a.vtk'}")
+    assert LEGACY[text] in str(error.value)
 
 
 EXTREMES = np.array([0.1, 5e-324, -0.0, 1.7976931348623157e308, 1 / 3, -123456.789012345678])

@@ -9,7 +9,6 @@ import zlib
 import numpy as np
 import pytest
 import vtk_witness
-from expected import check_message, entries, with_messages
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
@@ -107,39 +106,97 @@ def test_good_files(tmp_path, name):
     np.testing.assert_array_equal(read_grid(tmp_path / "a.vts").block(0), PLANE.reshape(1, 2, 3, 3).swapaxes(0, 2))
 
 
+LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
+
 BAD = {
-    "another end tag": ONE.replace("</Points>", "</Point>"),
-    "no base64": one(array([], text=base64_array(PLANE)[:-4] + "?==A", format="binary")),
-    "deep": vts("<a>" * 5000 + "</a>" * 5000),
-    "an offset behind the end": appended(RAW, offset=999),
-    "no offset": appended(RAW, offset="x"),
-    "too little": appended(RAW[:-1]),
-    "another size": appended(np.array([136], "<u4").tobytes() + RAW[4:]),
-    "no underscore": appended(RAW).replace(b">_", b"> "),
-    "no end of the data": appended(RAW).replace(b"</Appended", b"</appended"),
-    "an unknown encoding": appended(RAW, "hex"),
-    "zlib that is none": appended(packed(PLANE.tobytes(), pack=bytes), root=ZLIB),
-    "zlib that is cut": appended(packed(PLANE.tobytes(), pack=lambda b: zlib.compress(b)[:-4]), root=ZLIB),
-    "zlib of less": appended(packed(PLANE.tobytes()[:-1]), root=ZLIB),
-    "more blocks than bytes": appended(np.array([2**30, 144, 0], "<u4").tobytes() + b"x" * 99, root=ZLIB),
-    "a line that exists twice": appended(RAW[:40] + RAW[20:]),
-    "base64 after the last array": appended(base64.b64encode(RAW) + b"AAAA", "base64"),
-    "lzma that needs memory": appended(
-        packed(
-            PLANE.tobytes(),
-            pack=lambda b: lzma.compress(b, filters=[{"id": lzma.FILTER_LZMA2, "preset": 1, "dict_size": 1 << 28}]),
-        ),
-        root=LZMA,
+    "a piece of the extent": (
+        vts(piece("0 1 0 1 0 0", array(LEFT)), piece("1 2 0 1 0 0", array(RIGHT))),
+        "Piece has Extent 0 1 0 1 0 0; expected one Piece with all nodes of the WholeExtent 0 2 0 1 0 0",
     ),
-}
+    "another data set": (ONE.replace('type="StructuredGrid"', 'type="PolyData"'), "is a polygon surface"),
+    "another byte order": (ONE.replace("LittleEndian", "Middle"), "has byte_order 'Middle'; known are Little"),
+    "another compressor": (ONE.replace("<VTKFile", '<VTKFile compressor="gz"'), "has compressor 'gz'; known are"),
+    "a truncated file": (ONE.replace("</VTKFile>", ""), "does not end with </VTKFile>; the file is truncated"),
+    "another end tag": (ONE.replace("</Points>", "</Point>"), "Error parsing XML"),
+    "no size": (one(array([], text="AAAA", format="binary")), "has an impossible size, at byte"),
+    "no piece": (vts(), "is an empty grid"),
+    "no points": (one(""), "has 0 arrays of Points, expected 1"),
+    "too many values": (one(array([*PLANE.ravel(), 1])), r"Points has 19 values, expected 18 values \(6 x 3\)"),
+    "values behind an element": (
+        one(array([], text="0 <InformationKey/> 1 2")), "Points continues after an element inside it: '1 2'"
+    ),
+    "values behind a comment": (one(array([], text="0 <!-- x --> 1")), "holds '<!--'"),
+    "a character reference": (one(array([], text="&#48; 1")), "holds '&#48;'"),
+    "a number out of range": (one(array([], text="1e999")), "a number out of range"),
+    "an integer that does not fit": (
+        one(array(PLANE), scalar([0, 0, 0, 0, 0, 256], kind="UInt8")), "p holds '256', expected uint8 numbers"
+    ),
+    "an integer beyond 64 bits": (
+        one(array(PLANE), scalar([], kind="Int64", text=f"1 2 3 4 5 {2**63}")), "p holds '9223372036854775808'"
+    ),
+    "a fraction for an integer": (one(array(PLANE), scalar([0, 0, 0, 0, 0, 0.5], kind="Int32")), "p holds '0.0'"),
+    "two components of points": (one(array(PLANE, components=2)), "has 2 components, expected 3"),
+    "very many components": (one(array(PLANE), array([], "q", components=10**17)), "q has 0 values, expected 6000"),
+    "an unknown type": (one(array(PLANE, kind="Float128")), "type 'Float128'; known are Int8"),
+    "an unknown format": (one(array(PLANE, format="hex")), "format 'hex'; known are ascii"),
+    "no appended data": (
+        one(array([], format="appended", offset=0)), "refers to appended data, but the file has none"
+    ),
+    "fewer bytes than values": (
+        one(array([], text=base64_array(PLANE[:5]), format="binary")), "has 120 bytes, expected 144"
+    ),
+    "more bytes than stated": (
+        one(array([], text=base64_array(PLANE) + "AAAA", format="binary")), "continues after its last"
+    ),
+    "no base64": (one(array([], text=base64_array(PLANE)[:-4] + "?==A", format="binary")), "not base64"),
+    "five numbers in an extent": (ONE.replace(' Extent="0 2 0 1 0 0"', ' Extent="0 2 0 1 0"'), "expected six whole"),
+    "a long extent": (ONE.replace('WholeExtent="0 2 0 1 0 0"', 'WholeExtent="0 2 0 1 0 99999999"'),
+                      "cannot hold 600000000 entries"),
+    "no data set": ('<VTKFile type="StructuredGrid"></VTKFile>', "has no StructuredGrid element"),
+    "time steps": (ONE.replace("WholeExtent", 'TimeValues="0 1" WholeExtent'), "contains 2 time steps"),
+    "entities": (
+        f'<!DOCTYPE VTKFile [<!ENTITY l0 "lol">{LAUGHS}]>' + one(array([], text="&l9;")), "a VTK file has no DOCTYPE"
+    ),
+    "another encoding": ('<?xml version="1.0" encoding="EBCDIC-CP-US"?>' + ONE, "encoded as EBCDIC-CP-US"),
+    "deep": (vts("<a>" * 5000 + "</a>" * 5000), "elements are nested more than 100 deep"),
+    "another root": ("<a>" + ONE + "</a><!-- </VTKFile>", "its first element is not VTKFile"),
+    "an offset behind the end": (appended(RAW, offset=999), "begins at byte .*, after the end of the appended data"),
+    "no offset": (appended(RAW, offset="x"), "has offset 'x', expected a count"),
+    "too little": (appended(RAW[:-1]), "Points has an impossible size, at byte"),
+    "another size": (appended(np.array([136], "<u4").tobytes() + RAW[4:]), "has 136 bytes, expected 144"),
+    "no underscore": (appended(RAW).replace(b">_", b"> "), "no '_' follows the AppendedData tag"),
+    "no end of the data": (appended(RAW).replace(b"</Appended", b"</appended"), "do not end with </AppendedData>"),
+    "an unknown encoding": (appended(RAW, "hex"), "has encoding 'hex'; known are base64 raw"),
+    "zlib that is none": (appended(packed(PLANE.tobytes(), pack=bytes), root=ZLIB), "damaged in block 1 of 1"),
+    "zlib that is cut": (
+        appended(packed(PLANE.tobytes(), pack=lambda b: zlib.compress(b)[:-4]), root=ZLIB), "it has no end"
+    ),
+    "zlib of less": (appended(packed(PLANE.tobytes()[:-1]), root=ZLIB), "decompresses to 143 bytes, expected 144"),
+    "more blocks than bytes": (
+        appended(np.array([2**30, 144, 0], "<u4").tobytes() + b"x" * 99, root=ZLIB), "Points has an impossible size"
+    ),
+    "a line that exists twice": (appended(RAW[:40] + RAW[20:]), "Points continues after its last value"),
+    "base64 after the last array": (appended(base64.b64encode(RAW) + b"AAAA", "base64"), "after its last value"),
+    "lzma that needs memory": (
+        appended(
+            packed(
+                PLANE.tobytes(),
+                pack=lambda b: lzma.compress(b, filters=[{"id": lzma.FILTER_LZMA2, "preset": 1, "dict_size": 1 << 28}]),
+            ),
+            root=LZMA,
+        ),
+        "Memory usage limit",
+    ),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "content", "message"), [*with_messages("vtk", BAD), *entries("bad_vts.txt")])
-def test_bad_files(tmp_path, capfd, name, content, message):
-    (tmp_path / "a.vts").write_bytes(content.encode() if isinstance(content, str) else content)
-    with pytest.raises(FormatError) as error:
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files(tmp_path, capfd, name):
+    text, message = BAD[name]
+    (tmp_path / "a.vts").write_bytes(text.encode() if isinstance(text, str) else text)
+    with pytest.raises(FormatError, match=message) as error:
         read_grid(tmp_path / "a.vts")
-    check_message(error.value, message, tmp_path)
+    assert str(tmp_path / "a.vts") in str(error.value)
     assert capfd.readouterr() == ("", "")
 
 

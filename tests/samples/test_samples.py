@@ -6,16 +6,13 @@ import shlex
 
 import numpy as np
 import pytest
-from expected import entries
 
 from meshdeform_cli.main import run
 from meshdeform_core.deform import Timing, impose, set_up
-from meshdeform_core.errors import CaseError
 from meshdeform_core.methods import Options
 from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case
-from meshdeform_samples import SAMPLES, folder, generate, load
-from meshdeform_samples.building import split
+from meshdeform_samples import SAMPLES, folder, load
 
 
 def documented(name, command):
@@ -43,49 +40,6 @@ def test_readme_commands_give_a_valid_grid(name, tmp_path, monkeypatch):
     before, after = read_grid("case/grid.cgns"), read_grid(arguments[arguments.index("-o") + 1])
     largest = np.linalg.norm(after.points - before.points, axis=1).max()
     assert largest >= 0.99 * report["boundary"]["max_displacement"] > 0
-
-
-def described(grid, tables):
-    """Blocks with their extents and a weighted sum of all coordinates, patches, and tables, as lines."""
-    order = np.arange(grid.n_nodes)
-    lines = []
-    for b, name in enumerate(grid.names):
-        x = grid.block(b)
-        low, high = (" ".join(f"{value:.6g}" for value in end + 0.0) for end in (x.min((0, 1, 2)), x.max((0, 1, 2))))
-        lines.append(f"{name} {' x '.join(map(str, grid.shapes[b]))}: {low} to {high}")
-    lines.append(f"sum {np.cos(order) @ grid.points @ [1, 2, 3]:.8g}")
-    for patch in grid.patches:
-        faces = [f"{grid.names[w.block]}.{w.side.label}{list(w.low)}{list(w.high)}" for w in patch.windows]
-        lines.append(f"{patch.name} {patch.family} {patch.bc_type}: {' '.join(faces)}")
-    lines.append(f"{len(grid.connections)} connections")
-    for name, table in tables.items():
-        sums = np.cos(np.arange(len(table.points))) @ np.hstack([table.points, table.displacement])
-        lines.append(f"{name} {len(table.points)}: {' '.join(f'{value:.8g}' for value in sums)}")
-    return "".join(f"{line}\n" for line in lines)
-
-
-@pytest.mark.parametrize(("sample", "lines", "_"), entries("samples.txt"))
-def test_samples_are_what_they_were(sample, lines, _):
-    assert described(*generate(*sample.split())) == lines
-
-
-@pytest.mark.parametrize(("sample", "_", "message"), entries("bad_samples.txt"))
-def test_sizes_that_samples_do_not_have(sample, _, message):
-    with pytest.raises(CaseError) as error:
-        generate(*sample.split())
-    assert str(error.value) == message
-
-
-def test_parts_of_a_grid_have_its_nodes():
-    grid = generate("cascade", "4")[0]
-    parts = split(grid, 3)
-    assert len(set(parts.names)) == parts.n_blocks > grid.n_blocks
-    for b, name in enumerate(grid.names):
-        own = [n for n, each in enumerate(parts.names) if each.rpartition("-")[0] == name]
-        assert sum(np.prod(np.maximum(np.array(parts.shapes[n]) - 1, 1)) for n in own) == np.prod(grid.cell_shapes[b])
-        assert max(max(parts.shapes[n]) for n in own) <= 4
-        found = np.concatenate([parts.block(n).reshape(-1, 3) for n in own])
-        np.testing.assert_array_equal(np.unique(found, axis=0), np.unique(grid.block(b).reshape(-1, 3), axis=0))
 
 
 def test_the_wing_moves_as_the_structural_model_does(tmp_path, monkeypatch):
