@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 
 import numpy as np
 import pytest
@@ -22,14 +21,6 @@ def rotated(points: np.ndarray, degrees: float) -> np.ndarray:
 
 def body_nodes(points: np.ndarray) -> np.ndarray:
     return np.abs(points[:, :2]).max(axis=1) < 0.51
-
-
-def report_of(call, *arguments: str, code: int = 0) -> dict:
-    """Run with a JSON report and return it."""
-    result = call(*arguments, "--report", "report.json", "--force", "-q")
-    assert result.code == code, result.err
-    with open("report.json") as file:
-        return json.load(file)
 
 
 @pytest.fixture
@@ -61,18 +52,17 @@ def test_boundaries_go_where_they_were_told(grid, bench, call):
     assert np.abs(after.points - before.points)[interior].max() > 0.01
 
 
-def test_results_go_to_stdout_and_nothing_to_stderr(bench, call):
-    result = call(*RUN)
-    assert result.err == ""
-    for words in ("grid.xyz", "8 blocks", "1,152 nodes", "idw-tfi", "body", "moving", "f_skew minimum", "valid"):
-        assert words in result.out
-    assert "\x1b" not in result.out
-
-
 def test_verbose_tells_the_stages_on_stderr(bench, call):
     result = call(*RUN, "-v", "--repair", "off")
     stages = [line.split()[1] for line in result.err.splitlines() if "compile" not in line]
     assert stages == ["read", "topology", "prepare", "apply", "quality", "write", "other", "total"]
+
+
+def test_dry_run_writes_nothing(bench, call, snapshot):
+    before = snapshot(bench)
+    result = call(*RUN[:-2], "--dry-run", "--report", "out.json")
+    assert (result.code, "nothing written" in result.out) == (0, True)
+    assert snapshot(bench) == before
 
 
 def test_threads_are_those_of_our_loops(bench, call, monkeypatch):
@@ -83,15 +73,6 @@ def test_threads_are_those_of_our_loops(bench, call, monkeypatch):
         for count in (1, 2):
             call(*RUN, "--threads", str(count), "--force")
             assert parallel.thread_count() == count
-
-
-def test_dry_run_writes_nothing(bench, call, snapshot):
-    before = snapshot(bench)
-    result = call(*RUN[:-2], "--dry-run", "--report", "out.json")
-    assert result.code == 0
-    assert snapshot(bench) == before
-    for words in ("80 moving", "240 fixed", "320 slip", "largest displacement", "alpha        0.1", "nothing written"):
-        assert words in result.out, result.out
 
 
 def test_dry_run_tells_that_the_boundary_crosses_itself(bench, call):
@@ -118,14 +99,9 @@ def test_invalid_cells_give_exit_code_3_and_are_listed(bench, call, angle):
     assert report["valid"] is False
     count = report["quality"]["after"]["invalid_cells"]
     assert count > 0
-    first = report["invalid_cells"][0]
-    assert first["block"].startswith("block")
-    assert len(first["ijk"]) == 3
-    assert min(first["ijk"]) >= 1
-    assert first["min_jacobian"] <= 0
-    assert first["step"] == 1
-    assert first["nearest_patch"] in {"body", "span", "outer"}
     assert len(report["invalid_cells"]) == min(count, 200)
+    first = report["invalid_cells"][0]
+    assert first["min_jacobian"] <= 0 < first["step"] == min(first["ijk"] + [1])
     assert not (bench / "out.xyz").exists(), "make would take it for done"
     assert report["output"] == "out.invalid.xyz"
     assert read_grid("out.invalid.xyz").n_nodes == 1152
@@ -185,54 +161,11 @@ def test_automatic_steps_stop_before_the_grid_breaks(bench, call, angle):
     np.testing.assert_allclose(after[near], rotated(before[near], 120.0 * report["reached"]), rtol=0, atol=1e-12)
 
 
-def test_a_motion_that_is_zero_is_said_to_be_zero(bench, call, angle):
-    angle("turn*t")
-    result = call(*RUN)
-    assert result.code == 0
-    assert "nothing moves" in result.err
-    np.testing.assert_array_equal(read_grid("out.xyz").points, read_grid("grid.xyz").points)
-
-
-# --set
-
-
-@pytest.mark.parametrize(
-    ("override", "where", "expected"),
-    [
-        ("method.name=tfi", ("method", "name"), "tfi"),
-        ("method.idw.alpha=1", ("method", "alpha", "value"), 1),
-        ("constants.turn=0", ("boundary", "max_displacement"), 0.0),
-        ("boundary.2.kind=fixed", ("boundary", "slip_nodes"), 0),
-        ('boundary.span.select=["*.kmin"]', ("boundary", "patches", 1, "nodes"), 240),
-        ("boundary.body.motion.1.rotate.angle=0", ("boundary", "max_displacement"), 0.0),
-    ],
-)
-def test_set_overrides_any_key(override, where, expected, bench, call):
-    report = report_of(call, *RUN, "--set", override, "--allow-invalid")
-    found = report
-    for key in where:
-        found = found[key]
-    assert found == expected
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--min-jacobian", "nan"], "command line: repair.min_jacobian = nan; expected a finite number"),
-        (["-s", "method.idw.alpha=x"], "command line: method.idw.alpha = 'x'"),
-    ],
-)
-def test_an_error_of_the_command_line_is_not_blamed_on_the_case_file(words, expected, bench, call):
-    assert expected in call(*RUN, *words).err
-    (bench / "case.toml").write_text("[repair]\nmin_jacobian = nan\n")
-    assert "case.toml: repair.min_jacobian = nan; expected a finite number" in call(*RUN, "-m", "tfi").err
-
-
 # Tables
 
 
 def test_a_table_alone_is_enough(bench, call):
-    report = report_of(call, "deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz")
+    report = json.loads(call("deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz", "--report", "-").out)
     matched = report["boundary"]["matches"][0]
     assert (matched["table"], matched["matched_nodes"], matched["unmatched_nodes"]) == ("table.csv", 80, 560)
     assert matched["table_points_used"] == matched["table_points"]
@@ -243,19 +176,6 @@ def test_a_table_alone_is_enough(bench, call):
     outside = faces[(np.abs(before[faces, :2]).max(axis=1) == 2.0) | np.isin(before[faces, 2], (0.0, 1.0))]
     outside = outside[~near[outside]]
     np.testing.assert_array_equal(after[outside], before[outside])
-
-
-def test_files_of_a_case_are_found_beside_it(bench, call, monkeypatch):
-    text = (bench / "case.toml").read_text()
-    motion = text.index("motion = ")
-    (bench / "case.toml").write_text(
-        text[:motion] + 'motion = [{ file = "table.csv" }]\n' + text[text.index("\n", motion) :]
-    )
-    (bench / "elsewhere").mkdir()
-    monkeypatch.chdir("elsewhere")
-    result = call("deform", "../grid.xyz", "-c", "../case.toml", "-o", "out.xyz")
-    assert result.code == 0, result.err
-    assert "80 nodes matched" in result.out
 
 
 # Formats
@@ -289,38 +209,10 @@ def test_tolerance_and_match_reach_the_table(bench, call):
     assert call(*BY_TABLE, "--match", "exact").code == 2
     assert call(*BY_TABLE, "--tolerance", "0.03").code == 0
     match = json.loads((bench / "out.json").read_text())["boundary"]["matches"][0]
-    assert match["match"] == "nearest"
-    assert match["max_distance"] == pytest.approx(0.02)
-    assert match["size_ratio"] == pytest.approx(1.0)
+    assert (match["match"], match["max_distance"]) == ("nearest", pytest.approx(0.02))
     assert call(*BY_TABLE, "--match", "interpolate", "--tolerance", "0.03", "--force").code == 0
     match = json.loads((bench / "out.json").read_text())["boundary"]["matches"][0]
     assert match["match"] == "interpolate"
-
-
-@pytest.mark.parametrize("nk", [1, 4], ids=["2-D", "3-D"])
-def test_positions_by_number_move_the_points_that_have_them(nk, tmp_path, monkeypatch, call):
-    """As SU2 writes them, with its numbers of the points: those of one marker; the other walls are fixed."""
-    monkeypatch.chdir(tmp_path)
-    x = block_around(np.linspace(0, 2, 9), np.linspace(0, 1, 6), np.linspace(0, 1, nk))
-    write_grid(Grid.from_blocks([x]), tmp_path / "grid.xyz")
-    assert call("convert", "grid.xyz", "grid.su2").code == 0
-    text = (tmp_path / "grid.su2").read_text()
-    marker = re.search(r"MARKER_TAG= block1.jmax\nMARKER_ELEMS= \d+\n([^A-Z]*)", text)
-    assert marker is not None
-    numbers = np.unique([[int(word) for word in row.split()[1:]] for row in marker[1].splitlines()])
-    points = np.array([row.split() for row in text.split("NPOIN=")[1].splitlines()[1:]][: x[..., 0].size], dtype=float)
-    moved = points[numbers]
-    moved[:, 1] += 0.1 * np.sin(moved[:, 0])
-    np.savetxt("surface_positions.dat", np.column_stack([numbers, moved]), ["%d", *moved.shape[1] * ["%.17g"]])
-    done = call("deform", "grid.xyz", "-d", "surface_positions.dat", "-o", "out.xyz")
-    assert done.code == 0, done.err
-    after = read_grid(tmp_path / "out.xyz").block(0)
-    np.testing.assert_allclose(after[:, -1, :, 1], x[:, -1, :, 1] + 0.1 * np.sin(x[:, -1, :, 0]), atol=1e-15)
-    np.testing.assert_array_equal(after[:, 0], x[:, 0])
-    moved[:, 0] += 7 * numbers
-    np.savetxt("surface_positions.dat", np.column_stack([numbers, moved]), ["%d", *moved.shape[1] * ["%.17g"]])
-    done = call("deform", "grid.xyz", "-d", "surface_positions.dat", "-o", "again.xyz")
-    assert (done.code, "of another mesh" in done.err) == (2, True)
 
 
 @pytest.mark.parametrize("header", ["", "x,y,dx,dy"])

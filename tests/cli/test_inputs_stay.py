@@ -39,13 +39,10 @@ def inputs(bench):
     "arguments",
     [
         ("convert", "linked.cgns", "parts/second.cgns"),
-        ("convert", "linked.cgns", "linked.cgns"),
         ("convert", "other.vtm", "set.vtm"),
-        ("convert", "set/set_1.vts", "set.vtm"),
         ("convert", "other.vtm", "set/set_0.vts"),
         ("deform", "linked.cgns", "-c", "follow.toml", "-o", "out.cgns", "--report", "same.txt"),
         ("deform", "linked.cgns", "-c", "follow.toml", "-o", "out.cgns", "--report", "case.json"),
-        ("quality", "linked.cgns", "-c", "follow.toml", "--report", "table.txt"),
         ("quality", "linked.cgns", "--reference", "short.cgns", "--report", "report.json"),
         ("plot", "other.vtm", "-o", "picture.png"),
     ],
@@ -60,14 +57,6 @@ def test_no_input_is_replaced(inputs, call, snapshot, arguments):
     assert result.code == 2, result.err
     assert "the output must be another file (even with --force)" in result.err
     assert snapshot(inputs) == before
-
-
-def test_what_is_no_input_is_replaced(inputs, call):
-    write_grid(frame(), "b.vtm")
-    for target in ("b.vtm", "b.vtm", "out.cgns", "out.cgns"):
-        assert call("convert", "other.vtm", target, "--force").code == 0
-    assert len(list(Path("b").iterdir())) == read_grid("b.vtm").n_blocks
-    np.testing.assert_array_equal(read_grid("set.vtm").points, read_grid("b.vtm").points)
 
 
 @pytest.mark.parametrize("name", ["a.xyz", "a.vts", "a.cgns", "a.vtu"])

@@ -117,12 +117,10 @@ def test_compare_says_how_far_and_where(bench, call):
     facts = json.loads(call("compare", "grid.xyz", "other.xyz", "--json").out)
     assert facts["largest"] == pytest.approx(5e-3)
     assert facts["rms"] == pytest.approx(5e-3 / np.sqrt(1152))
-    assert facts["where"] == "block3 (2, 4, 3)"
-    assert facts["differing_nodes"] == 1
+    assert (facts["where"], facts["differing_nodes"]) == ("block3 (2, 4, 3)", 1)
     assert [b["largest"] > 0 for b in facts["blocks"]] == [n == 2 for n in range(8)]
-    assert call("compare", "grid.xyz", "other.xyz").code == 0
-    assert call("compare", "grid.xyz", "other.xyz", "--tolerance", "6e-3").code == 0
-    assert call("compare", "grid.xyz", "other.xyz", "--tolerance", "4e-3").code == 1
+    for more, code in (((), 0), (("--tolerance", "6e-3"), 0), (("--tolerance", "4e-3"), 1)):
+        assert call("compare", "grid.xyz", "other.xyz", *more).code == code
 
 
 # plot
@@ -133,12 +131,7 @@ def test_compare_says_how_far_and_where(bench, call):
     [
         (".svg", b"<?xml", ("--plane", "j=mid", "--metric", "volume", "--zoom", "worst", "--title", "x < y & z")),
         (".pdf", b"%PDF-", ("--plane", "z=0.4", "--zoom", "walls", "--range", "0.5,1", "--metric", "wall_distance")),
-        (".PNG", b"\x89PNG\r\n", ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--plane", "k=2")),
-        (
-            ".svg",
-            b"<?xml",
-            ("--reference", "grid.xyz", "--select", "body", "--metric", "displacement", "--view", "1,1,0.5"),
-        ),
+        (".PNG", b"\x89PNG\r\n", ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--select", "body")),
     ],
 )
 def test_plot_options(suffix, begins, options, bench, call):

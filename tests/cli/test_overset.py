@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from grids import block_around, frame, polar
 
-from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid, Patch, Side, Window
-from meshdeform_formats.case import case_of
 from meshdeform_formats.grids import read_grid, write_grid
 
 LINE = np.linspace(-5.0, 5.0, 9)
@@ -73,9 +71,3 @@ def test_reports_have_a_verdict_for_every_component(folder, call):
     assert done.code == 0, done.err
     report = json.loads((folder / "s.json").read_text())
     assert [part["valid"] for part in report["levels"][1]["components"]] == [True] * 3
-
-
-@pytest.mark.parametrize("entry", ["zones", {}, {"a": 3}, {"a": []}, {"a": {"file": "x.cgns"}}])
-def test_entries_that_are_no_components_are_refused(entry):
-    with pytest.raises(CaseError, match=r"grid\.components = .*; expected .zone prefix., or names with block patterns"):
-        case_of({"grid": {"components": entry}})

@@ -34,7 +34,6 @@ CALLS = {
     # numbers
     "threads-zero": ((*DEFORM, "--threads", "0"), ("--threads", "x>=1")),
     "steps-fraction": ((*DEFORM, "--steps", "2.5"), ("--steps '2.5'", "whole number >= 1")),
-    "memory-text": ((*DEFORM, "--max-memory", "lots"), ("--max-memory 'lots'", "2GiB")),
     "memory-small": ((*DEFORM, "--max-memory", "10KiB"), ("1,152 nodes", "--max-memory allows 10 KiB", "allow more")),
     "memory-system": (
         (*DEFORM, "-m", "rbf", "--max-memory", "188.1MiB"),
@@ -43,44 +42,25 @@ CALLS = {
     "tolerance-nan": (("compare", "grid.xyz", "grid.cgns", "--tolerance", "nan"), ("--tolerance", "finite")),
     # KEY=VALUE
     "set-no-equals": ((*DEFORM, "-s", "method.name"), ("--set 'method.name'", "KEY=VALUE")),
-    "set-through-value": ((*DEFORM, "-s", "constants.turn.x=1"), ("'turn' is a value, not a table",)),
-    "set-boundary-unknown": ((*DEFORM, "-s", "boundary.wing.kind=fixed"), ("no entry 'wing'", "body, span")),
-    "set-boundary-itself": ((*DEFORM, "-s", "boundary.body=3"), ("boundary.body=3", "name an entry and its key")),
-    "set-inside-list": ((*DEFORM, "-s", "boundary.body.select.1=x"), ("boundary.body.select", "as a whole")),
     "variant-of-cgns": (
-        ("convert", "grid.xyz", "out.cgns", "--variant", "encoding=hex"),
-        ("unknown option 'encoding'",),
+        ("convert", "grid.xyz", "out.cgns", "--variant", "encoding=hex"), ("unknown option 'encoding'",),
     ),
     "read-as-key": (("info", "grid.xyz", "--read-as", "endian=big"), ("'endian'", "byte_order")),
     "read-as-wrong": (("info", "grid.xyz", "--read-as", "byte_order=big"), ("grid.xyz", "big")),
-    "set-constant": (
-        (*DEFORM, "-s", "turn=10"), ("--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?",),
-    ),
-    "set-no-formula-uses-it": (
-        (*DEFORM, "-s", "constants.trun=40"), ("no formula uses the constant 'trun'", "did you mean 'turn'?"),
-    ),
-    "set-of-another-method": (
-        (*DEFORM, "-s", "method.rbf.basis=wendland-c2"),
-        ("has no effect", "'idw-tfi' uses only method.idw, method.tfi"),
-    ),
-    "set-idle-eta": ((*DEFORM, "-s", "method.idw.eta=4"), ("has no effect", 'method.idw.alpha = "auto"')),
     "match-without-table": ((*DEFORM, "--match", "exact"), ("belong to --displacement",)),
     # output names
     "output-exists": (("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz"), ("old.xyz exists", "--force")),
     "output-suffix": (("deform", "grid.xyz", "-c", "case.toml", "-o", "out.foo"), ("'.foo'", "plot3d:", ".cgns")),
     "output-adf": (("convert", "grid.xyz", "out.adf"), ("ADF can only be read", ".cgns")),
     "output-folder-missing": (
-        ("deform", "grid.xyz", "-c", "case.toml", "-o", "no/out.xyz"),
-        ("folder no does not exist", "create it first"),
+        ("deform", "grid.xyz", "-c", "case.toml", "-o", "no/out.xyz"), ("folder no does not exist", "create it first"),
     ),
     "output-below-file": (("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz/out.xyz"), ("old.xyz is a file",)),
     "output-is-folder-forced": (
-        ("deform", "grid.xyz", "-c", "case.toml", "-o", "folder.xyz", "--force"),
-        ("folder.xyz", "is a folder"),
+        ("deform", "grid.xyz", "-c", "case.toml", "-o", "folder.xyz", "--force"), ("folder.xyz", "is a folder"),
     ),
     "output-name-too-long": (
-        ("deform", "grid.xyz", "-c", "case.toml", "-o", "a" * 300 + ".xyz"),
-        ("File name too long",),
+        ("deform", "grid.xyz", "-c", "case.toml", "-o", "a" * 300 + ".xyz"), ("File name too long",),
     ),
     "output-one-block-only": (("convert", "grid.xyz", "out.vts"), ("one block", "8", ".vtm")),
     "report-exists": ((*DEFORM, "--report", "old.json"), ("old.json exists", "--force")),
@@ -90,7 +70,6 @@ CALLS = {
     "grid-missing": (("deform", "no.xyz", "-c", "case.toml", "-o", "out.xyz"), ("no.xyz does not exist",)),
     "case-missing": (("deform", "grid.xyz", "-c", "no.toml", "-o", "out.xyz"), ("no.toml", "No such file")),
     "case-binary": (("deform", "grid.xyz", "-c", "grid.xyz", "-o", "out.xyz"), ("grid.xyz", "not a TOML file")),
-    "method-unknown": ((*DEFORM, "-m", "idv"), ("method 'idv' is unknown", "idw-tfi")),
     "case-for-grid": (
         ("deform", "case.toml", "-c", "grid.xyz", "-o", "out.xyz"),
         ("case.toml is a case file; expected the grid first: grid.xyz -c case.toml",),
@@ -115,9 +94,6 @@ CALLS = {
     "sample-into-file": (("sample", "splitter-plate", "-o", "old.xyz"), ("old.xyz is a file", "expected a folder")),
     "compare-other-blocks": (("compare", "grid.xyz", "flat.p2dfmt"), ("block1 of grid.xyz has 5 x 5 x 4", "6 x 6 x 1")),
     "reproduce-unknown": (("reproduce", "table9", "-o", "out"), ("table2", "table5", "figB", "all")),
-    "plot-plane-outside": (
-        (*PLOT, "--plane", "z=1.5"), ("no part of the grid lies at z = 1.5; it spans z = 0 to 1",),
-    ),
     "plot-zoom-outside": (
         (*PLOT, "--plane", "k=1", "--zoom=5,6,5,6"), ("shows nothing of the grid, which extends from",),
     ),
@@ -131,77 +107,20 @@ CALLS = {
         ("does not begin above zero",),
     ),
     "plot-plane-and-select": (
-        ("plot", "grid.xyz", "-o", "out.png", "--plane", "k=1", "--select", "*"),
-        ("exclude each other",),
+        ("plot", "grid.xyz", "-o", "out.png", "--plane", "k=1", "--select", "*"), ("exclude each other",),
     ),
     "plot-select-flat": (("plot", "flat.p2dfmt", "-o", "out.png", "--select", "*"), ("2-D grid", "--select")),
     "plot-metric": (("plot", "grid.xyz", "-o", "out.png", "--metric", "skew"), ("--metric", "f_skew")),
     "plot-view": (("plot", "grid.xyz", "-o", "out.png", "--view", "top"), ("--view", "iso")),
 }  # fmt: skip
 
-HEAD = '[[boundary]]\nname = "body"\nselect = ["*"]\nwhere = "abs(x) < 0.51 and abs(y) < 0.51"\n'
-MOVING = HEAD + 'kind = "moving"\n'
-SHIFT = MOVING + "motion = [{ translate = [0.1, 0, 0] }]\n"
-
-
-def body(line: str) -> str:
-    """The moving body with its motion replaced by ``line``."""
-    return MOVING + line + "\n"
-
-
-def moved(formula: str) -> str:
-    return body(f"motion = [{{ displace = [{formula!r}, 0, 0] }}]")
-
-
+SHIFT = '[[boundary]]\nselect = ["*"]\nwhere = "abs(x) < 0.51"\nmotion = [{ translate = [0.1, 0, 0] }]\n'
 # id: (case file, fragments of the message)
 CASES = {
-    # not TOML
     "syntax": ("[method\nname = 'tfi'", ("not a TOML file", "line 1")),
-    "endless-integer": ("[constants]\nL = " + "9" * 5000, ("64 bits", "1e30")),
-    "nested-too-deeply": ("a = " + "[" * 3000 + "]" * 3000, ("not a TOML file", "nested too deeply")),
-    # unknown keys at every level
-    "key-top": ("[metod]\nname = 'tfi'", ("unknown key 'metod'", "did you mean 'method'")),
-    "key-grid": ("[grid]\nboundary_fil = 'a.nmf'", ("[grid]", "boundary_fil", "did you mean 'boundary_file'")),
-    "key-motion": (body("motion = [{ translat = [0, 0, 0] }]"), ("motion step 1", "did you mean 'translate'")),
-    "key-of-a-part": ("[method]\nalpha = 0.1\n" + SHIFT, ("unknown key 'alpha'", "did you mean 'method.idw.alpha'?")),
-    "key-nothing-near": ("[zzz]\n", ("unknown key 'zzz'", "known are grid, constants, boundary, method")),
-    # wrong types at every level
-    "type-constant": ("[constants]\nL = 'five'", ("constants.L", "finite number", "'five'")),
-    "type-kind": (SHIFT.replace('"moving"', "['moving']"), ("boundary 'body'", "kind = ['moving']", "fixed")),
-    "type-motion": (body("motion = 5"), ("motion", "list of tables")),
-    "type-rotate": (body("motion = [{ rotate = 30 }]"), ("rotate = 30", "angle")),
-    "type-file": (body("motion = [{ file = 5 }]"), ("motion step 1", "file name, found 5")),
-    "type-match": (
-        body("motion = [{ file = 'table.csv', match = 5 }]"),
-        ("motion step 1", "match = 5", "exact, nearest, interpolate"),
-    ),
-    # values out of range
-    "value-tolerance": ("[grid]\ntolerance = 0.7", ("grid.tolerance", "0.7", "between 0 and 0.5")),
-    "value-constant-minus-infinity": ("[constants]\nL = -inf", ("constants.L", "finite", "-inf")),
-    "value-constant-t": ("[constants]\nt = 1", ("constants.t", "already has a meaning")),
-    "value-kind": (SHIFT.replace('"moving"', '"movin"'), ("kind = 'movin'", "did you mean 'moving'")),
-    "value-no-kind": ('[[boundary]]\nname = "a"', ("boundary 'a'", "has no kind", "moving, fixed")),
-    "value-axis": (body("motion = [{ rotate = { angle = 5, axis = [0, 0, 0] } }]"), ("axis", "no direction")),
-    "value-two-steps-in-one": (
-        body("motion = [{ translate = [0, 0, 0], rotate = { angle = 1 } }]"),
-        ("exactly one of",),
-    ),
-    "value-no-motion": (MOVING, ("boundary 'body'", "moves but has no motion")),
-    "value-motion-of-fixed": (
-        HEAD + "kind = 'fixed'\nmotion = [{ translate = [0, 0, 0] }]",
-        ("boundary 'body'", "is fixed but has a motion"),
-    ),
-    "same-name-twice": (SHIFT + SHIFT, ("boundary", "names must differ", "body")),
-    # formulas
-    "formula-name": (moved("q*x"), ("unknown name 'q'", "known are")),
-    "formula-time-in-where": (SHIFT.replace("abs(x) < 0.51", "t < 1"), ("where", "unknown name 't'")),
-    # selections
     "select-unknown": (SHIFT.replace('"*"]', '"wing"]'), ("'wing'", "no named patches", "block1.imin")),
-    # motions that cannot be
     "nothing-moves": ('[[boundary]]\nname = "all"\nkind = "fixed"', ("no node moves", 'kind = "moving"')),
-    # files
     "boundary-file-missing": ("[grid]\nboundary_file = 'no.nmf'\n" + SHIFT, ("no.nmf", "No such file")),
-    "boundary-file-null": ('[grid]\nboundary_file = "a\\u0000b"\n' + SHIFT, ("boundary_file", "expected a file name")),
 }
 
 
@@ -248,10 +167,9 @@ MISTAKES = {
         table(lambda p: p + [3, 4, 5]), WITH_TABLE, "(shifted by (-3, -4, -5), 100% of its points would",
     ),
     "numbers of another mesh": (numbered, WITH_TABLE, "95 of 121 table points lie on no face that the table moves"),
-    "decimal commas": (
-        lambda: Path("wrong.csv").write_text("x;y;z;dx;dy;dz\n0,5;0;0;0;0;0\n"),
-        ("deform", "grid.xyz", "-d", "wrong.csv", "-o", "out.xyz"),
-        "'0,5' is not a number; decimal commas are not read",
+    "out of the plane": (
+        lambda: None, ("deform", "flat.p2dfmt", "-s", "boundary=[{motion={translate=[0, 0, 'x']}}]", "-o", "o.p2dbin"),
+        "leaves the plane of the 2-D grid",
     ),
     "a file with the name of the invalid grid": (
         own_notes, (*DEFORM, "-s", "constants.turn=85", "--repair", "off"), "out.invalid.xyz",

@@ -85,10 +85,7 @@ def test_the_report_has_every_level_and_shows_that_preparation_happened_once(don
     skew = [level["quality"]["f_skew"] for level in report["levels"]]
     assert skew[0]["min"] == pytest.approx(skew[2]["min"])
     assert skew[1]["harmonic_mean"] < skew[0]["harmonic_mean"]
-    assert report["levels"][1]["max_rotation_deg"] == pytest.approx(20.0)
-    assert report["boundary"]["max_displacement"] == pytest.approx(np.sqrt(0.5) * 2 * np.sin(np.deg2rad(10)), rel=1e-6)
     assert all(level["warnings"] == [] for level in report["levels"])
-    assert all(len(level["attempts"]) == 1 and level["repair"] is None for level in report["levels"])
     smooth = [level["smoothness"] for level in report["levels"]]
     assert [s["velocity"] is None for s in smooth] == [True, False, False, False, False]
     assert [s["acceleration"] is None for s in smooth] == [True, True, False, False, False]
@@ -105,17 +102,6 @@ def test_a_warning_is_given_once_and_not_for_round_off(swing, call):
     assert found == [1]
     assert "out of a slip or symmetry plane by up to 0.0707" in report["levels"][1]["warnings"][0]
     assert sum("out of a slip" in text for text in report["warnings"]) == 1
-
-
-def test_the_text_has_a_line_per_level(swing, call):
-    result = call(*RUN, "-v", "--report", "r.txt")
-    assert result.code == 0
-    (warning,) = result.warnings
-    assert Path("r.txt").read_text() == f"{result.out}warning   {warning}\n"
-    rows = [line for line in result.out.splitlines() if ".xyz " in line and line.strip()[0].isdigit()]
-    assert [row.split()[1] for row in rows] == ["0", "0.25", "0.5", "0.75", "1"]
-    at_rest = rows[0].split()
-    assert f"f_skew before: mean {at_rest[5]}, minimum {at_rest[6]}\n" in result.out
 
 
 def test_times_are_those_of_the_displacement_files(swing, call):

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from grids import frame
 
-import meshdeform as md
 from meshdeform_cli import looking, main, process
 from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
@@ -181,17 +180,6 @@ def test_a_table_that_declares_gigabytes_of_zeros_is_refused_before_it_is_unpack
     result = call(*CASELESS, "-d", "zeros.npz")
     assert result.code == 2
     assert "which no table of displacements does" in result.err
-
-
-@pytest.mark.parametrize("name", ["a[1]", "a\nb*"])
-def test_init_writes_patterns_that_select_its_own_faces(name, tmp_path, call, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    block = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 4)] * 3, indexing="ij"), axis=-1)
-    md.write(md.Grid([block], names=[name]), "nm.vtm")
-    assert call("init", "nm.vtm", "-o", "nm.toml").code == 0
-    result = call("deform", "nm.vtm", "-c", "nm.toml", "--dry-run", "-q")
-    # Its faces are found; none of them is a wall, so that nothing moves yet.
-    assert (result.code, "no node moves" in result.err) == (2, True), result.err
 
 
 def test_a_signal_within_a_callback_of_the_collector_prints_no_traceback(monkeypatch, capsys):

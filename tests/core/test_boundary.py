@@ -421,8 +421,6 @@ def test_unmatched_nodes_are_an_error_with_a_reason():
     points = bar_nodes()
     with pytest.raises(MotionError, match=r"1 of \d+ selected nodes have no match"):
         problem_of(FRAME, following(table(points[1:], points[1:]), how="exact"))
-    with pytest.raises(MotionError, match="different length units"):
-        problem_of(FRAME, following(table(1000 * points, points)))
     with pytest.raises(CaseError, match="unknown; known are exact"):
         Matching("closest")
     with pytest.raises(CaseError, match="positive length"):

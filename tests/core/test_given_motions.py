@@ -13,7 +13,7 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.shapes import Outline
 from meshdeform_core.boundary.tables import BoundaryNodes
 from meshdeform_core.deform import set_up
-from meshdeform_core.errors import CaseError, FormatError, MotionError
+from meshdeform_core.errors import FormatError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, Side
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.series import Schedule, deform_series
@@ -122,20 +122,6 @@ def test_quaternions_turn_uniformly(tmp_path):
     np.testing.assert_allclose(moved(nodes, step, tmp_path, 1 / 3), exact, atol=1e-14)
 
 
-BAD_RIGID = {
-    "t,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n": (CaseError, "order = ''; expected, only for angles"),
-    "t,x,y\n0,0,0\n": (FormatError, "columns x, y; expected all of x, y, z"),
-    "t,x,y,z,w\n0,0,0,0,0\n": (CaseError, "column 'w'"),
-    "t,x,y,z\n1,0,0,0\n0,0,0,0\n": (FormatError, "the times do not ascend: 1 before 0"),
-    "t,x,y,z\n1,0,0\n": (FormatError, "line 2: found 3 numbers; expected 4"),
-    "t,x,y,z\n1,0,0,nan\n": (FormatError, "line 2"),
-    "t,x,y,z\n1,0,0,1e300\n": (FormatError, "line 2"),
-    "time,x,y,z\n": (FormatError, "line 1.*expected a header"),
-    "t,qx,qy,qz,qw\n0,0,0,0,2\n": (FormatError, "quaternion at t = 0 has the length 2"),
-    "": (FormatError, "is empty"),
-}
-
-
 def helix(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Stations (n, 3) along z of a beam wound into a helix, its displacement, and its rotation vectors."""
     s = np.linspace(0, 2, n)
@@ -215,18 +201,10 @@ def test_beams_turn_with_their_root_over_time_and_carry_what_lies_beyond(tmp_pat
 
 BEAM = "x,y,z,dx,dy,dz,rx,ry,rz\n"
 BAD_BEAMS = {
-    "x,y,z,dx,dy,dz\n0,0,0,0,0,0\n": "has the columns x y z dx dy dz; expected x y z, dx dy dz, either rx ry rz",
-    "x,y,z,dx,dy,dz,rx,ry,rz,cx,cy,cz\n" + "0," * 11 + "0\n": "either rx ry rz",
-    "x,y,z,dx,dy,dz,rx,ry\n" + "0," * 7 + "0\n": "has the columns .* rx ry; expected",
-    "0,0,0,0,0,0,0,0,0\n": "line 1: found '0 0.*expected a header like t,x,y,z,dx",
-    BEAM: "no rows of numbers",
     BEAM + "0,0,0,0,0,0,0,0,0\n": "has one station; expected at least two, along a line",
     BEAM + 2 * "0,0,0,0,0,0,0,0,0\n": "first and last stations lie at one point",
     BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n": "stations 2 and 3, .* coincide or go back",
     BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,175,0\n": "stations 1 and 2 are turned by 175 degrees from each other",
-    BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,nan,0,0\n": "line 3",
-    f"t,{BEAM}0,0,0,0,0,0,0,0,0,0\n0,0,0,1,0,0,0,0,0,0\n1,0,0,0,0,0,0,0,0,0\n": "1 station at t = 1 but 2 at 0",
-    f"t,{BEAM}" + "".join(f"{t},0,0,{s + t},0,0,0,0,0,0\n" for t in (0, 1) for s in (0, 1)): "station 1 is .* at t = 1",
 }
 
 
@@ -250,8 +228,6 @@ def test_modes_add_up(tmp_path):
         (tmp_path / "q.csv").write_text(f"{header}\n0,0,0\n")
         with pytest.raises(FormatError, match=r"belong to shape [12]; expected one called q"):
             moved(nodes, {"modes": {**files, "amplitudes": {"file": "q.csv"}}, "match": "exact"}, tmp_path)
-    with pytest.raises(CaseError, match="1 amplitudes for 2 shapes"):
-        moved(nodes, {"modes": {**files, "amplitudes": [1]}}, tmp_path)
 
 
 def naca(thickness: float, camber: float, n: int, close: float = 0.1036) -> np.ndarray:
@@ -364,27 +340,11 @@ def test_what_cannot_be_matched_is_refused(tmp_path):
     circle = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 41)), np.sin(t)], axis=1)
     with pytest.raises(MotionError, match="has 0 corners"):
         moved(wall(circle), write_selig(tmp_path / "a.dat", sharp), tmp_path)
-    (tmp_path / "a.dat").write_text("x\n1 0\n0.5 zero\n")
-    with pytest.raises(FormatError, match="line 3"):
-        moved(wall(sharp), {"airfoil": {"file": "a.dat"}}, tmp_path)
 
 
-BAD_BOXES = [
-    ({"edges": [[1, 0, 0], [2, 0, 0], [0, 0, 1]]}, "span no volume"), ({"points": [1, 2, 2]}, "at least 2"),
-    ({"move": []}, "expected move"), ({"origin": [0, 0]}, "expected three values"),
-    *(({"move": [{"at": at, "by": [0, 0, 0]}]}, message) for at, message in (
-        ([4, 1, 1], "from 1 to 3"), ([0, 1, 1], "from 1 to 3"), ([True, 1, 1], "numbers from 1"),
-        (["a", 1, 1], "numbers from 1"),
-    )),
-    ({"move": [{"at": [1, 1, 1], "by": ["x", 0, 0]}]}, "x"),
-    ({"origin": [10, 0, 0]}, "no node of the boundary is in the box"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("changes", "message"), BAD_BOXES)
-def test_boxes_are_checked(changes, message):
-    with pytest.raises((CaseError, MotionError), match=message):
-        moved(box_nodes(), {"ffd": {**box()["ffd"], **changes}})
+def test_boxes_without_nodes_are_refused():
+    with pytest.raises(MotionError, match="no node of the boundary is in the box"):
+        moved(box_nodes(), {"ffd": {**box()["ffd"], "origin": [10, 0, 0]}})
 
 
 def test_positions_by_number(tmp_path):
@@ -406,26 +366,15 @@ def test_positions_by_number(tmp_path):
         moved(nodes, {"positions": {"file": "w.dat"}}, tmp_path)
 
 
-BAD_POSITIONS = {
-    "0 0 0\n1.5 0 0\n": (FormatError, "line 2: 1.5 is not the number"),
-    "0 0 0 0\n0 0 0 1\n": (FormatError, "point 0 has two positions"),
-    "0 0 0 0\n": (MotionError, "no position for"),
-    "99999 0 0 0\n": (MotionError, "1 numbers are not of points on block faces, the first 99999"),
-    "0 0 0 0 0\n": (FormatError, "found 5 columns"),
-    "# nothing\n": (FormatError, "no positions"),
-    "0 0 0 1e200\n": (FormatError, "expected 4 finite numbers up to 1e\\+30"),
-}
-
-
 BAD_TABLES = [
-    *(("rigid", text, *expected) for text, expected in BAD_RIGID.items()),
-    *(("beam", text, (FormatError, MotionError), message) for text, message in BAD_BEAMS.items()),
-    *(("positions", text, *expected) for text, expected in BAD_POSITIONS.items()),
+    *(("beam", text, message) for text, message in BAD_BEAMS.items()),
+    ("positions", "0 0 0 0\n", "no position for"),
+    ("positions", "99999 0 0 0\n", "1 numbers are not of points on block faces, the first 99999"),
 ]
 
 
-@pytest.mark.parametrize(("motion", "text", "kind", "message"), BAD_TABLES)
-def test_tables_are_checked(motion, text, kind, message, tmp_path):
+@pytest.mark.parametrize(("motion", "text", "message"), BAD_TABLES)
+def test_tables_are_checked(motion, text, message, tmp_path):
     file = table(tmp_path, text)
-    with pytest.raises(kind, match=message):
+    with pytest.raises(MotionError, match=message):
         moved(box_nodes(), {motion: file["file"] if motion == "beam" else file}, tmp_path)

@@ -267,3 +267,37 @@ def test_cases_are_read_by_folder_and_by_foam_file(tmp_path):
     (tmp_path / "system/blockMeshDict").write_text(HEAD + ONE)
     (tmp_path / "case.foam").write_text("")
     assert read_grid(tmp_path).shapes == read_grid(tmp_path / "case.foam").shapes == ((5, 4, 3),)
+
+
+def hermite(points: list[list[float]], smooth: bool, at: np.ndarray) -> np.ndarray:
+    """Through all points: straight between them, or with the slopes of the chords of their neighbours."""
+    p = np.array(points)
+    p = np.concatenate([2 * p[:1] - p[1:2], p, 2 * p[-1:] - p[-2:-1]])
+    place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(p[1:-1], axis=0), axis=1))])
+    found = []
+    for s in at * place[-1]:
+        n = min(int(np.searchsorted(place, s, side="right")), len(place) - 1)
+        t = (s - place[n - 1]) / (place[n] - place[n - 1])
+        a, b = p[n], p[n + 1]
+        slopes = ((b - p[n - 1]) / 2, (p[n + 2] - a) / 2) if smooth else (b - a, b - a)
+        hat = (2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, 3 * t**2 - 2 * t**3, t**3 - t**2)
+        found.append(hat[0] * a + hat[1] * slopes[0] + hat[2] * b + hat[3] * slopes[1])
+    return np.array(found)
+
+
+AT, WAY = np.linspace(0, 1, 9), [[0, 0, 0], [0.25, 0.5, 0.1], [0.5, 0.25, -0.1], [1, 0, 0]]
+THROUGH = "((0.25 0.5 0.1) (0.5 0.25 -0.1))"
+
+
+EDGES = {
+    f"polyLine 0 1 {THROUGH}": hermite(WAY, False, AT),
+    f"spline 0 1 {THROUGH}": hermite(WAY, True, AT),
+    "spline 1 0 ((0.5 0.25 -0.1) (0.25 0.5 0.1))": hermite(WAY, True, AT),
+}
+
+
+@pytest.mark.parametrize("edge", EDGES)
+def test_curved_edges(edge, tmp_path):
+    grid = read(tmp_path, HEAD + CUBE + BLOCK.replace("(4 3 2)", "(8 3 2)") + f"edges ({edge});")
+    np.testing.assert_allclose(grid.block(0)[:, 0, 0], EDGES[edge], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(grid.block(0)[:, -1, 0], AT[:, None] * [1, 0, 0] + [0, 1, 0], rtol=0, atol=1e-15)

@@ -39,6 +39,7 @@ TEXTS = {
     "a b c d e f\n" + ROW: "expected a name for each of 6 columns, x y z (or x y) and dx dy dz (or dx dy) among them",
     "x y z p q r\n" + ROW: "found 'x' 'y' 'z' 'p' 'q' 'r'",
     "1,5;2,5;3,0;4,0;5,0;6,0\n" * 2: "found '1,5' '2,5'",
+    "x;y;z;dx;dy;dz\n0,5;0;0;0;0;0\n": "'0,5' is not a number; decimal commas are not read",
 }
 
 
@@ -180,6 +181,7 @@ OBJECT = np.array([{}], dtype=object)
     ({"points": POINTS[:0], "displacement": POINTS[:0]}, "has no points with displacements"),
     ({"points": POINTS, "displacement": POINTS, "triangles": [[0, 1, 9]]}, "triangles refer to points 0 to 9 of 4"),
     ({"points": POINTS, "displacement": OBJECT}, "allow_pickle=False"),
+    ({"points": POINTS, "displacement": POINTS, "triangles": [[0.0, 1.5, 2.0]]}, "expected row numbers of points"),
 ])  # fmt: skip
 def test_wrong_arrays(tmp_path, arrays, message):
     path = tmp_path / ("a.npz" if isinstance(arrays, dict) else "a.npy")
@@ -303,3 +305,35 @@ def test_binary_data_of_gmsh_out_of_order(tmp_path):
         (tmp_path / "a.msh").write_bytes(head + mark + swapped.replace(b"????", struct.pack("i", 3)))
         with pytest.raises(FormatError):
             read_displacement(tmp_path / "a.msh")
+
+
+AVS = "4 2 3 0 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 1 1 0\n1 1 tri 1 2 3\n2 1 tri 2 4 3\n1 3\ndisplacement, m\n"
+
+
+def test_a_surface_of_avs(tmp_path):
+    (tmp_path / "a.avs").write_text(AVS + "4 0 0 4\n2 0 0 2\n3 0 0 3\n1 0 0 1\n")
+    found = read_displacement(tmp_path / "a.avs")
+    np.testing.assert_array_equal(found.points, [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    np.testing.assert_array_equal(found.displacement, [[0, 0, n] for n in (1, 2, 3, 4)])
+    assert found.triangles.tolist() == [[0, 1, 2], [1, 3, 2]]
+
+
+BAD_AVS = [
+    ("2 4 3", "2 4", "a cell does not have the corners of its type"),
+    ("4 0 0 4\n", "", "not one row for each node"),
+    ("4 0 0 4", "5 0 0 4", "not one row for each node"),
+    ("4 0 0 4", "3 0 0 4", "not one row for each node"),
+    ("4 1 1 0", "3 1 1 0", "not one row for each node"),
+    ("4 0 0 4", "4 0 0", "not 3 values with different names in"),
+    ("4 0 0 4", "4 0 0 4 5", "not 3 values with different"),
+    ("1 3\nd", "3 1 1 1\na, m\na, m\nd", "different names in"),
+    ("0 0 4\n", "0 0 4\n5 5\n6 6\n", "2 lines follow that its first line does not"),
+    ("2 3 0 0", "x 3 0 0", "invalid literal"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), BAD_AVS)
+def test_what_meshio_would_misread_of_avs(tmp_path, old, new, message):
+    (tmp_path / "a.avs").write_text((AVS + "1 0 0 1\n2 0 0 2\n3 0 0 3\n4 0 0 4\n").replace(old, new, 1))
+    with pytest.raises(FormatError, match=f"cannot read .*a.avs as avsucd: .*{message}"):
+        read_displacement(tmp_path / "a.avs")

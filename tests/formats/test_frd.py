@@ -114,9 +114,6 @@ def test_modes_of_a_case(tmp_path, model):
 
 
 BAD_MODES = {
-    "found ['amplitudes']": {},
-    "found ['amplitudes', 'file', 'files']": {"file": "m.frd", "files": ["m.frd"]},
-    "found ['amplitudes', 'files', 'shapes']": {"files": ["m.frd"], "shapes": [1]},
     "shapes = [3]; expected numbers from 1 to 2": {"file": "m.frd", "shapes": [3]},
     "shapes = [true]": {"file": "m.frd", "shapes": [True]},
     "2 amplitudes for 1 shapes": {"file": "m.frd", "shapes": [1], "amplitudes": [1, 2]},

@@ -13,7 +13,15 @@ from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
-from meshdeform_formats.picture.overview import moved_walls, overview, quality_planes, telling_plane, worst_cells
+from meshdeform_formats.picture.overview import (
+    PlotOptions,
+    moved_walls,
+    overview,
+    picture,
+    quality_planes,
+    telling_plane,
+    worst_cells,
+)
 from meshdeform_formats.picture.page import INVALID_COLOUR, Page, Panel, Scale, page_bytes
 from meshdeform_formats.picture.raster import render
 from meshdeform_formats.picture.scene import (
@@ -222,3 +230,30 @@ def test_thin_invalid_cells_have_edges_of_their_colour():
     with Image.open(io.BytesIO(page_bytes(Page.of([panel], Scale())))) as png:
         pixels = np.asarray(png.convert("RGB")) / 255
     assert (np.abs(pixels - INVALID_COLOUR).max(axis=-1) < 0.3).sum() > 40
+
+
+def test_pictures_show_what_their_options_name():
+    """Of a frame whose z goes from 0 to 1 in three layers."""
+    s = subject(frame())
+
+    def shown(**options):
+        page = picture(s, PlotOptions(**options), "title")
+        assert page.title == "title"
+        corners = page.panels[0].scene.facets.corners
+        return page, corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+
+    planes = {"k=2": (2, 1 / 3), "k=mid": (2, 1 / 3), "z=0.4": (2, 0.4), "y=1": (1, 1.0), "x=-1": (0, -1.0)}
+    for plane, (axis, place) in planes.items():
+        page, low, high = shown(plane=plane)
+        assert (low[axis], high[axis]) == pytest.approx((place, place))
+        others = [n for n in range(3) if n != axis]
+        np.testing.assert_allclose(np.stack([low, high])[:, others], np.array([[-2, -2, 0], [2, 2, 1]])[:, others])
+        assert abs(page.panels[0].scene.view.towards[axis]) == 1
+    page, low, high = shown(select=("block1.imin", "block1.kmax"), view="0,0,1")
+    np.testing.assert_allclose([low, high], [[-2, -2, 0], [-0.5, -0.5, 1]], atol=1e-6)
+    page, *_ = shown(plane="k=1", zoom="walls")
+    assert page.panels[0].window.left > -1
+    assert shown(plane="k=1", zoom=(0, 1, 0.5, 0.75))[0].panels[0].window == Window(0, 1, 0.5, 0.75)
+    (worst,) = shown(zoom="worst", metric="volume")[0].panels
+    block, cell = worst_cell(s, "volume")
+    assert worst.title == f"worst cell: {s.grid.label(block, cell)}"

@@ -177,6 +177,7 @@ def in_set(*files):
     [
         (index(""), "has no vtkMultiBlockDataSet element"),
         (index("<vtkMultiBlockDataSet/>"), "refers to no data sets"),
+        (index('<vtkMultiBlockDataSet/><DataSet file="one.vts"/>'), "1 DataSet elements lie outside of vtkMultiBlock"),
         (index("<vtkMultiBlockDataSet>"), r"set\.vtm: Error parsing XML: mismatched tag"),
         (in_set("missing.vts"), r"refers to .*missing\.vts, which does not exist"),
         (in_set("empty.vts"), r"empty\.vts is empty"),
