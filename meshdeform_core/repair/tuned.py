@@ -32,10 +32,10 @@ SOFTENED = 0.5
 """Power of the weights of cells while they are untangled."""
 CUBIC = 2.0
 """Factor of the cubic term of the energy that is minimised: the larger it is, the more the worst cells count."""
-HELD = 0.25
+HELD = 0.32
 """The elastic energy of a cell has its weight to this power as a factor: where a repair sets in, cells at walls yield
-less suddenly. With 0, nodes of the nozzle are accelerated by .104 of the wall's step and those of the flap by .39
-instead of .32 (studies/smoothness.py), with .5 walls that a method tilts stay tilted (studies/default_method.py)."""
+less suddenly. With 0, nodes of the nozzle are accelerated by .104 of the wall's step (studies/smoothness.py), with .25
+the valve keeps a scaled Jacobian of .339, with .5 walls that a method tilts stay tilted (studies/default_method.py)."""
 POLISHED = 0.25
 """Power of the weights of cells when a healthy grid is polished, as cells at walls are good already."""
 REACH = 32
