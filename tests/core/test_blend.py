@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 import pytest
-from cases import apply, body_specs, constant, problem_of, turning
-from grids import frame, frame_2d
+from cases import apply, body_specs, constant, problem_of, told, turning
+from grids import block_around, frame, frame_2d
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.grid import Grid
@@ -233,6 +233,15 @@ def test_blocks_with_straight_lines_have_sub_blocks_of_the_given_size():
             assert cut[0] == 0
             assert cut[-1] == n - 1
             assert np.diff(cut).max() <= 4
+
+
+def test_free_vertices_stay_in_their_slip_planes():
+    line = np.linspace(0.0, 1.0, 6)
+    grid = Grid.from_blocks([block_around(2.0 * line, line, 3.0 * line)])
+    lid = BoundarySpec("lid", ("*.kmax",), Kind.MOVING, None, constant(0, 0, -0.9))
+    problem = problem_of(grid, [lid, BoundarySpec("sides", ("*.i*", "*.j*", "*.kmin"), Kind.SLIP)])
+    moved = apply(Options("tfi"), problem, told(problem))
+    np.testing.assert_allclose(moved, grid.points * [0, 0, -0.3], rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize(("nodes", "cells"), [(1_000, 4), (50_000, 4), (60_000, 8), (200_000, 8), (300_000, 16)])

@@ -209,6 +209,10 @@ def test_openings_and_overlaps_are_sought_within_components():
     named = with_components(GRID, BY_PREFIX)
     assert find_openings(GRID, find_topology(GRID))
     assert not find_openings(named, find_topology(named))
+    line = np.linspace(0.0, 1.0, 4)
+    near = Grid.from_blocks([block_around(at, line, line) for at in (line, line + 1.001)], ["a.1", "b.1"])
+    assert [each.matching for each in find_openings(near, find_topology(near))] == [True]
+    assert not find_openings(with_components(near, BY_PREFIX), find_topology(near))
 
 
 def test_levels_of_a_series_are_those_of_each_component():

@@ -263,6 +263,7 @@ def test_what_moves_rigidly_can_give_way_or_was_collapsed_is_not_named():
 def test_a_layer_turned_inside_out_is_told_with_its_place():
     """Where x > 0.6 the upper face goes below the lower one: the cells from there on, 4 in a row."""
     found = pinned(slab(), formulas("0", "0", "where(x > 0.6 and z > 0.05, -0.2, 0)")) or ""
+    assert "16 cells" in (pinned(slab(), formulas("0", "0", "where(z > 0.05, -0.1, 0)")) or ""), "exactly flat"
     # Between the nodes at 0.5 and 0.75 only two of the corners have changed their sign.
     assert "8 cells, whose nodes are all prescribed, are inverted" in found
     assert "first in block1 at (3, 1, 1)" in found

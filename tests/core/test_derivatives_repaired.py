@@ -122,7 +122,7 @@ def test_central_differences_through_a_repair(name, converged):
     moved = flat(found.jvp(change))
     # The method alone would be wrong by far.
     method = flat(mesh.linearise(at, steps=1, repair="off").jvp(change))
-    assert np.abs(moved - method).max() > 0.02 * np.abs(moved).max()
+    assert np.abs(moved - method).max() > 0.01 * np.abs(moved).max()
     # On curved surfaces nodes cross from one flat face to the next in longer intervals.
     check(mesh, at, found, change, 1, (1e-5, 2.5e-6) if name == "curved slip" else (2e-4, 5e-5))
 

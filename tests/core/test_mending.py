@@ -72,6 +72,8 @@ def test_a_valid_grid_is_left_alone_but_for_polish():
     same = mend(good.grid, grid, case)
     assert same.repair is None
     np.testing.assert_array_equal(same.grid.points, good.grid.points)
+    single = mend(good.grid, grid, case, "float32").grid.points
+    np.testing.assert_array_equal(single, good.grid.points.astype(np.float32))
     case = Case(tuple(body_specs(turning("60"))))
     good = deform(grid, dataclasses.replace(case, repair=RepairOptions("off")), steps=1)
     polish = dataclasses.replace(case, repair=RepairOptions("polish"))

@@ -127,6 +127,8 @@ def test_a_jump_of_the_grid_alone_is_told():
     assert found.acceleration == pytest.approx(7.0)
     assert found.acceleration_in_edges == pytest.approx(0.7 / 0.5)
     assert "jumps" in found.warning
+    mixed = [moment._replace(plain=moment.time > 0) for moment in moments]
+    assert smoothness(mixed, np.array([0]), np.full(3, 0.5)).warning == found.warning
     plain = [moment._replace(plain=True) for moment in moments]
     assert smoothness(plain, np.array([0]), np.full(3, 0.5)).warning is None
     assert smoothness(moments, np.array([2]), np.full(3, 0.5)).warning is None
