@@ -217,8 +217,9 @@ main(sys.argv[2:])
 """
 
 
-def test_a_signal_says_how_to_continue(swing, call):
-    options = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", "-o", "stopped")
+@pytest.mark.parametrize("suffix", [".xyz", ".vtu"])
+def test_a_signal_says_how_to_continue(swing, call, suffix):
+    options = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", "-o", "stopped", "--suffix", suffix)
     command = [sys.executable, "-c", KILLED.replace("SIGKILL", "SIGINT"), "4", *options]
     # Shells start what runs in the background with the signal ignored.
     heard = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)

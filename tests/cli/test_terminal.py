@@ -22,6 +22,9 @@ def test_boundaries_are_kept_beside_what_has_no_place_for_them(bench, call):
     assert {s["name"]: s["quads"] for s in before} == {s["name"]: s["quads"] for s in after}
     assert call("convert", "new.xyz", "back.cgns", "--boundary-file", "new.nmf").code == 0
     assert not (bench / "back.nmf").exists()
+    assert call("convert", "grid.xyz", "joined.cgns").code == 0
+    assert call("convert", "joined.cgns", "again.xyz").out.rstrip().endswith("boundaries in again.nmf")
+    assert "one-to-one" in (bench / "again.nmf").read_text()
     # So do commands that make grids.
     case = ("grid.cgns", "-c", "case.toml")
     assert call("deform", *case, "-o", "bent.vtm").code == 0

@@ -242,15 +242,3 @@ def test_free_vertices_stay_in_their_slip_planes():
     problem = problem_of(grid, [lid, BoundarySpec("sides", ("*.i*", "*.j*", "*.kmin"), Kind.SLIP)])
     moved = apply(Options("tfi"), problem, told(problem))
     np.testing.assert_allclose(moved, grid.points * [0, 0, -0.3], rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize(("nodes", "cells"), [(1_000, 4), (50_000, 4), (60_000, 8), (200_000, 8), (300_000, 16)])
-def test_small_grids_have_small_sub_blocks(nodes, cells):
-    """With 1000 sources 5e7 pairs are 50,000 nodes."""
-
-    class Case:
-        n_unique_nodes = nodes
-        source_numbers = range(1000)
-
-    assert TFI().cells(Case) == cells
-    assert TFI(0).cells(Case) == 0

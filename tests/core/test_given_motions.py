@@ -197,6 +197,11 @@ def test_beams_turn_with_their_root_over_time_and_carry_what_lies_beyond(tmp_pat
         case.case.boundaries[0].motion.require([1.5])
     assert case.files == (tmp_path / "beam.csv",)
     assert "from -0.5 to 1.5; those beyond an end" in case.case.boundaries[0].motion.prepare(nodes).notes[0]
+    for low, high in ((0.0, 1.0), (-1.0, 0.0)):
+        ends = np.array([[0.0, 0, low], [0, 0, high]])
+        case = case_of({"boundary": [{"motion": beam(tmp_path, ends, 0 * ends, 0 * ends)}]}, tmp_path).case
+        (note,) = case.boundaries[0].motion.prepare(nodes).notes
+        assert f"from {-1 - low:g} to {1 - low:g}; those beyond an end" in note
 
 
 BEAM = "x,y,z,dx,dy,dz,rx,ry,rz\n"

@@ -118,20 +118,6 @@ def test_a_direction_solves_the_linear_system_in_ranges_of_any_size(dimension, r
     np.testing.assert_allclose(step, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_over_relaxed_sweeps_take_half_the_iterations(monkeypatch):
-    setup = fixed_setup(cube(80, 2))
-    plot = Basis(setup.original, setup.boundary).whole
-    start, taken = plot.inside(setup.grid.points), []
-    for slack in (newton._SLACK, {2: np.sqrt(plot.region.n_unknowns)}):
-        monkeypatch.setattr(newton, "_SLACK", slack)
-        system = NewtonSystem(plot.region)
-        system.fill(plot.region, start, start, Penalty(0.0, 1.0, 2.0, 1.0))
-        system.gradient[...] = 1.0
-        system.direction(1e-5, 1000)
-        taken.append(system.iterations)
-    assert taken[0] < 0.6 * taken[1], taken
-
-
 @pytest.mark.parametrize("refused", [0, 10, 20])
 def test_where_steps_are_shortened_or_refused_the_minimum_is_not_called_reached(refused, monkeypatch):
     """So many trials of every step are made to look bad: then 2^-10 of it is taken, or, of 14 trials, none."""

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import body_specs, constant
 from grids import frame
 
-from meshdeform_core.deform import set_up
+from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats import displacement
@@ -105,6 +106,14 @@ def test_reports_compare_a_table_with_the_nodes_that_it_matches(folder):
     np.savetxt(folder / "half.csv", table[table[:, 2] < 0.6], "%.17g", delimiter=",")
     setup = set_up(frame(), read_case(None, table=folder / "half.csv").case)
     assert boundary_part(setup)["matches"][0]["size_ratio"] == pytest.approx(1.0)
+
+
+def test_every_node_that_moves_freely_or_not_is_counted_once():
+    setup = set_up(frame(), Case(tuple(body_specs(constant(0.1, 0, 0)))))
+    found = boundary_part(setup)
+    counts = [found[f"{kind}_nodes"] for kind in ("moving", "fixed", "slip", "interface")]
+    assert min(counts[0], *counts[2:]) > 0
+    assert sum(counts) == setup.topology.n_unique
 
 
 @pytest.mark.parametrize(

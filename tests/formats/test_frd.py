@@ -111,6 +111,10 @@ def test_modes_of_a_case(tmp_path, model):
     (step,) = case.case.boundaries[0].motion.steps
     assert isinstance(step, Modes)
     np.testing.assert_allclose(step.shapes[0].displacement, 3 * step.shapes[1].displacement, rtol=2e-5, atol=1e-9)
+    (tmp_path / "a.csv").write_text("t,q1,q2,q3\n0,1,2,3\n1,4,5,6\n")
+    modes["amplitudes"] = {"file": "a.csv"}
+    (step,) = case_of({"boundary": [{"motion": {"modes": modes}}]}, tmp_path).case.boundaries[0].motion.steps
+    np.testing.assert_array_equal(step.amplitudes.values, [[3, 1], [6, 4]])
 
 
 BAD_MODES = {

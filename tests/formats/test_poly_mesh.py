@@ -264,9 +264,8 @@ def test_a_solver_runs_on_the_points_of_a_series(tmp_path, monkeypatch):
     if shutil.which("pimpleFoam") is None:
         pytest.skip("OpenFOAM is not installed")
     monkeypatch.chdir(tmp_path)
-    script = re.search(r"```sh\n(mkdir.*?)meshdeform info", (ROOT / "docs/guides/openfoam.md").read_text(), re.DOTALL)
-    assert script is not None
-    subprocess.run(["sh", "-c", script[1]], check=True)
+    (script,) = re.findall(r"(?s)```sh\n(mkdir.*?)meshdeform info", (ROOT / "docs/guides/openfoam.md").read_text())
+    subprocess.run(["sh", "-c", script], check=True)
     command = ["series", "flap/", "-c", "flap.toml", "--times", "0:1:0.25", "--variant", "encoding=ascii", "-q"]
     assert run([*command, "-o", "moving"]) == 0
 
@@ -285,9 +284,8 @@ def test_a_solver_runs_on_the_points_of_a_series(tmp_path, monkeypatch):
         field.write_text(f'{text}boundaryField {{ ".*" {{ {inlet} }} top {{ {top} }} sides {{ type empty; }} }}\n')
     shutil.rmtree("run/1")
     assert max(errors(run_foam("pimpleFoam", tmp_path / "run"))) < 1e-14
-    inside = re.search(r"internalField[^(]*\((.*?)\n\)", Path("run/1/U").read_text(), re.DOTALL)
-    assert inside is not None
-    flow = np.array(re.sub(r"[()]", " ", inside[1]).split(), dtype=float).reshape(-1, 3)
+    (inside,) = re.findall(r"(?s)internalField[^(]*\((.*?)\n\)", Path("run/1/U").read_text())
+    flow = np.array(re.sub(r"[()]", " ", inside).split(), dtype=float).reshape(-1, 3)
     np.testing.assert_allclose(flow, np.broadcast_to([1, 0.5, 0], (200, 3)), rtol=0, atol=1e-12)
 
 
