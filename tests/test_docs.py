@@ -17,7 +17,6 @@ from pathlib import Path
 import man_page
 import pytest
 import site_reference
-from site_check import broken
 from site_pages import blocks, expected_outcomes, made, pictures
 
 import meshdeform
@@ -243,34 +242,3 @@ def test_man_renders_the_manual_page():
     # What click would fold into a paragraph keeps its lines, and dashes are dashes.
     assert "\n           meshdeform info grid.vts --json\n" in done.stdout
     assert "--min-jacobian R" in done.stdout
-
-
-SITE_PAGE = "<html><body><h2 id='here'>x</h2>{}</body></html>"
-
-
-def write_page(folder, name: str, body: str) -> None:
-    path = folder / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(SITE_PAGE.format(body))
-
-
-def test_what_a_reader_would_stumble_over_is_found(tmp_path):
-    """Missing pictures, links and places, Markdown as text, what would need a network; nothing of a sound page."""
-    (tmp_path / "p.png").write_bytes(b"x")
-    write_page(tmp_path, "a/index.html", "<a href='../index.html'>up</a><img src='../p.png'><code>![a](b)</code>")
-    write_page(
-        tmp_path,
-        "index.html",
-        "<img src='gone.png'><a href='#nowhere'>a</a><a href='a/#here'>a</a><a href='https://x.org/'>x</a>"
-        "<a href='no/page/'>b</a>"
-        "<figure>![wing, grid](gallery/wing.png)</figure>"
-        "<script src='https://x.org/a.js'></script><link rel='stylesheet' href='//x.org/a.css'>",
-    )
-    assert sorted(broken(tmp_path)) == [
-        "index.html: #nowhere has no such place",
-        "index.html: //x.org/a.css is loaded from another server",
-        "index.html: Markdown of a picture is shown as text",
-        "index.html: gone.png does not exist",
-        "index.html: https://x.org/a.js is loaded from another server",
-        "index.html: no/page/ does not exist",
-    ]
