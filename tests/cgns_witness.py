@@ -263,7 +263,7 @@ def two_zones() -> N:
         box(4, 3, 5),
         zone_bc(
             bc("body", "BCWallViscous", [[1, 1, 1], [1, 3, 5]], wall),
-            bc("top", "FamilySpecified", [[1, 1, 5], [4, 3, 5]], wall),
+            bc("top", "FamilySpecified", [[1, 1, 5], [4, 3, 5]], replace(wall, data="Base/Wing")),
         ),
         connectivity(one_to_one("to right", "right", [[4, 1, 1], [4, 3, 5]], [[1, 1, 1], [1, 3, 5]], [1, 2, 3])),
     )

@@ -16,7 +16,7 @@ from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats import displacement
 from meshdeform_formats.case import read_case
-from meshdeform_formats.case.tables import parse_times
+from meshdeform_formats.case.tables import named_files, parse_times
 from meshdeform_formats.report.records import boundary_part
 
 CASE = """\
@@ -78,7 +78,8 @@ def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monke
 
     monkeypatch.setattr(displacement, "read_displacement", watched)
     case = read_case(folder / "case.toml")
-    assert [path.name for path in case.files] == [f"surface_{n}.csv" for n in range(11)]
+    files = [*case.files, *named_files([{"beam": "b"}], folder)]
+    assert [path.name for path in files] == [*(f"surface_{n}.csv" for n in range(11)), "b"]
     grid = frame()
     setup = set_up(grid, case.case)
     wall = setup.topology.first[setup.boundary.kind == 6]
@@ -110,8 +111,7 @@ def test_reports_compare_a_table_with_the_nodes_that_it_matches(folder):
 
 def test_every_node_that_moves_freely_or_not_is_counted_once():
     setup = set_up(frame(), Case(tuple(body_specs(constant(0.1, 0, 0)))))
-    found = boundary_part(setup)
-    counts = [found[f"{kind}_nodes"] for kind in ("moving", "fixed", "slip", "interface")]
+    counts = [boundary_part(setup)[f"{kind}_nodes"] for kind in ("moving", "fixed", "slip", "interface")]
     assert min(counts[0], *counts[2:]) > 0
     assert sum(counts) == setup.topology.n_unique
 

@@ -51,7 +51,7 @@ def test_two_zones(tmp_path):
     np.testing.assert_array_equal(grid.block(0), box(4, 3, 5))
     assert [(p.name, p.family, p.bc_type) for p in grid.patches] == [
         ("body", "Wing", "BCWallViscous"),
-        ("top", "Wing", "BCWall"),  # FamilySpecified: what the family says
+        ("top", "Base/Wing", "BCWall"),  # FamilySpecified: what the family says
         ("body", "", "BCFarfield"),
     ]
     assert grid.patches[1].windows == (Window(0, Side.KMAX, (0, 0), (3, 2)),)

@@ -94,7 +94,7 @@ def test_records_split_into_subrecords_are_joined(tmp_path, longest):
 def test_the_values_tell_plane_grids_from_flat_blocks(tmp_path, shape, with_iblank, z, variant):
     """[1, ni, nj] begins a 2-D file of one block as well as a 3-D file of (1, ni, nj); the sizes can agree."""
     blocks, iblank = sample_blocks([shape], variant["precision"]), sample_iblank([shape]) if with_iblank else None
-    blocks[0][..., 2] *= z
+    blocks[0][..., 2] = z * blocks[0][..., 2] + 0.0  # no zeros with a sign
     check(plot3d.read(put(tmp_path, binary_file(blocks, iblank, encoding="binary", **variant))), blocks, iblank)
 
 
