@@ -31,12 +31,12 @@ def connected_nodes(grid: Grid, connection: Connection) -> tuple[IntArray, IntAr
     own = connection.block, "range", begin, np.eye(3, dtype=np.int64)
     both = own, (connection.donor_block, "donor range", donor_begin, turn)
     for block, role, first, steps in both:
-        shape, reached = grid.shapes[block], np.stack([first, first + steps @ (end - begin)])
-        if (reached < 0).any() or (reached >= shape).any():
-            raise GridError(
-                f"connection {connection.name!r} of {grid.names[connection.block]}: its {role} reaches node "
-                f"{(reached.max(axis=0) + 1).tolist()}, but {grid.names[block]} has {list(shape)} nodes"
-            )
+        for reached in (first, first + steps @ (end - begin)):
+            if (reached < 0).any() or (reached >= grid.shapes[block]).any():
+                raise GridError(
+                    f"connection {connection.name!r} of {grid.names[connection.block]}: its {role} reaches node "
+                    f"{(reached + 1).tolist()}, but {grid.names[block]} has {list(grid.shapes[block])} nodes"
+                )
     places = np.indices(np.abs(end - begin) + 1).reshape(3, -1) * np.where(end >= begin, 1, -1)[:, None]
     one, two = (
         grid.offsets[block] + np.ravel_multi_index(first[:, None] + steps @ places, grid.shapes[block])

@@ -46,6 +46,7 @@ def test_places_have_names():
     assert grid.window_label(Window(1, Side.KMAX, (0, 0), (2, 1))) == "wing.kmax"
     assert grid.window_label(Window(1, Side.JMIN, (0, 1), (2, 2))) == "wing.jmin[1:3,2:3]"
     np.testing.assert_array_equal(grid.sample(9), grid.points[::5])
+    assert [each.n_face_nodes for each in (ONE, grid, Grid.from_blocks([CUBE[:, :1]]))] == [26, 26 + 18, 9]
     np.testing.assert_array_equal(rounded(grid.points / 3, "float32"), (grid.points / 3).astype("f4").astype("f8"))
     # Out of a far side into a near one the index of the other block increases.
     assert [Side.IMAX.into(side) for side in Side] == [1, -1, 2, -2, 3, -3]
@@ -66,24 +67,33 @@ def test_the_ends_of_one_layer_are_those_of_neighbours_where_a_block_leaves_them
 
 
 def test_what_is_wrong_with_a_connection_is_told_with_its_size():
-    grid = Grid.from_blocks([CUBE, CUBE + [1.0, 0.0, 0.0]], ["a", "b"])
+    """The first cells of the second block are thin at one end of the common face, and its ratios are largest there."""
+    line = np.array([0.0, 0.25, 1.0])
+    one, thin = (block_around(x, line, CUBE[0, 0, :, 2]) for x in (line, CUBE[:, 0, 0, 0]))
+    thin[..., 0] *= 0.1 + thin[..., 1]
+    grid = Grid.from_blocks([one, thin + [1.0, 0.0, 0.0]], ["a", "b"])
     ends = (2, 0, 0), (2, 2, 2)
     face = Connection("c", 0, *ends, 1, (0, 0, 0), (0, 2, 2), (1, 2, 3))
-    turned = Periodicity((1.0, 1.0, 0.0), (0.0, 0.0, -90.0), (0.0, -1.0, 0.5))
-    low = Connection("p", 0, (0, 0, 0), (0, 2, 2), 0, (0, 2, 0), (2, 2, 2), (2, 1, 3), turned)
-    fits = dataclasses.replace(low, periodic=dataclasses.replace(turned, translation=(0.0, -1.0, 0.0)))
+    turned = Periodicity((1.0, 1.0, 0.0), (0.0, 0.0, -90.0), (0.0, -1.0, 0.0024))
+    fits = Connection("p", 0, (0, 0, 0), (0, 2, 2), 0, (0, 2, 0), (2, 2, 2), (2, 1, 3), turned)
+    low = dataclasses.replace(fits, periodic=dataclasses.replace(turned, translation=(0.0, -1.0, 0.0026)))
     itself = dataclasses.replace(face, donor_block=0, donor_begin=ends[0], donor_end=ends[1])
-    twisted = dataclasses.replace(face, donor_begin=(0, 2, 2), donor_end=(0, 0, 0), transform=(1, -2, -3))
+    shifted = dataclasses.replace(face, begin=(2, 1, 0), donor_end=(0, 1, 2))
+    back = Connection("d", 1, (0, 0, 0), (0, 1, 2), 0, (2, 1, 0), (2, 2, 2), (1, 2, 3))
     beyond = dataclasses.replace(face, end=(2, 2, 3), donor_end=(0, 2, 3))
+    below = dataclasses.replace(face, donor_begin=(0, 1, 2), transform=(1, -2, -3))
     c = "connection 'c' of a"
+    undeclared = "8 face quads coincide but no connection declares them (blocks a, b)"
+    apart = "6 of 6 node pairs do not coincide (largest gap 0.75, 5 of the local edge)"
     for given, expected in (
         ((face,), []),
         ((face, fits), []),
-        ((low,), ["connection 'p' of a with a: 9 of 9 periodic node pairs differ, by up to 0.5"]),
+        ((low,), ["connection 'p' of a with a: 9 of 9 periodic node pairs differ, by up to 0.0026"]),
         ((face, itself), [f"{c} with a: it joins the nodes of one face with themselves and has no effect"]),
-        ((twisted,), [f"{c} with b: 8 of 9 node pairs do not coincide (largest gap 1.41, 2.83 of the local edge)"]),
-        ((beyond,), [f"{c}: its range reaches node [3, 3, 4], but a has [3, 3, 3] nodes",
-                     "8 face quads coincide but no connection declares them (blocks a, b)"]),
-    ):  # fmt: skip
+        ((shifted,), [f"{c} with b: {apart}"]),
+        ((back,), [f"connection 'd' of b with a: {apart}"]),
+        ((beyond,), [f"{c}: its range reaches node [3, 3, 4], but a has [3, 3, 3] nodes", undeclared]),
+        ((below,), [f"{c}: its donor range reaches node [1, 0, 1], but b has [3, 3, 3] nodes", undeclared]),
+    ):
         found = dataclasses.replace(grid, connections=given)
         assert [text.partition("; ")[0] for text in check_connections(found, find_topology(found))] == expected
