@@ -32,6 +32,7 @@ where = "max(abs(x), abs(y)) > 1.99"
 kind = "fixed"
 """
 """The body of ``frame`` turns between slip planes, inside a fixed outer boundary."""
+LINE = np.linspace(0.0, 1.0, 5)
 SPANS = ((-2.0, -0.5), (-0.5, 0.5), (0.5, 2.0))
 
 
@@ -67,6 +68,27 @@ def polar(n_around: int = 24, n_radial: int = 8, n_span: int = 4) -> Grid:
     x = np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)
     x[-1] = x[0]
     return Grid.from_blocks([x[:, :, ::-1].copy()])
+
+
+def cut_behind_a_body() -> Grid:
+    """A C-grid of one block, one side of which is folded onto itself behind a body."""
+    s, t, z = np.meshgrid(np.linspace(-2.0, 2.0, 9), LINE, LINE, indexing="ij")
+    t += 0.5 * np.maximum(1.0 - np.abs(s), 0.0)
+    return Grid.from_blocks([np.stack([s * s - t * t, 2.0 * s * t, z], axis=-1)])
+
+
+def discs() -> Grid:
+    """Two discs, one on the other, with triangles around the axis and other directions of indices."""
+    a, r, z = np.meshgrid(2.0 * np.pi * LINE, LINE, LINE, indexing="ij")
+    low = np.stack([r * np.cos(a), r * np.sin(a), z], axis=-1)
+    return Grid.from_blocks([low, turn_block(low + [0.0, 0.0, 1.0], (1, 0, 2), (True, False, True))])
+
+
+def prisms() -> Grid:
+    """Two prisms with a common triangle, of which each repeats another corner."""
+    triangle = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    low, top = (np.roll(triangle, n, axis=0)[[[0, 0], [1, 2]]] for n in (0, 1))
+    return Grid.from_blocks([np.stack([x + [0, 0, z], x + [0, 0, z + 1]], axis=2) for z, x in enumerate((low, top))])
 
 
 def turn_block(x: np.ndarray, axes: tuple[int, ...], flips: tuple[bool, ...]) -> np.ndarray:

@@ -338,9 +338,9 @@ def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tup
                 grid.nodes.at(side_nodes(grid, block, Side(2 * axis + far))).reshape(-1, 3) for far in (0, 1)
             )
             shift, along = last - first, int(np.argmax(np.abs(last[0] - first[0])))
-            length = float(np.abs(shift[:, along]).max())
+            length, width = float(np.abs(shift[:, along]).max()), np.ptp(first, axis=0)
             off = max(np.abs(shift - shift[0]).max(), np.abs(np.delete(shift[0], along)).max())
-            if length > 0.0 and off <= FLATNESS * length and np.ptp(first[:, along]) <= FLATNESS * max(length, 1.0):
+            if length > 0.0 and off <= FLATNESS * length and width[along] <= FLATNESS * max(length, width.max()):
                 extruded[block][along] = axis
         if not extruded[block]:
             return set()

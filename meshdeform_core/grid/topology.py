@@ -357,9 +357,8 @@ def _connected_windows(grid: Grid) -> Iterator[Window]:
     """The windows of the declared connections other than periodic ones, on both sides, as far as they exist."""
 
     def window(block: int, begin: Sequence[int], end: Sequence[int]) -> Iterator[Window]:
-        low, high = np.minimum(begin, end), np.maximum(begin, end)
+        shape, low, high = grid.shapes[block], np.minimum(begin, end), np.maximum(begin, end)
         for side in Side:
-            shape = grid.shapes[block]
             across = low[side.axis] == high[side.axis] == side.layer(shape) and shape[side.axis] > 1
             if across and (low >= 0).all() and (high < shape).all():
                 (a, b), (c, d) = (index[list(side.tangential)].tolist() for index in (low, high))
@@ -429,16 +428,18 @@ def separated(grid: Grid, topology: Topology) -> Topology:
     at_plate, outside, undeclared = found
     apart = (at_plate | outside & ~undeclared)[label]
     first = np.searchsorted(topology.face_nodes, topology.first)[topology.number].astype(topology.number.dtype)
-    first[rows[apart]] = rows[label[apart]]
+    # What is not apart is one node, whichever group has the first.
+    groups = np.where(apart, label, len(rows) + topology.number[rows])
+    _, lead, group = np.unique(groups, return_index=True, return_inverse=True)
+    first[rows] = rows[lead[group]]
     number, leads = numbered_by_first(first)
-    lead = np.flatnonzero(leads)
     # Quads have the numbers of their own nodes, elsewhere those of the places, of which all nodes are still one.
     renamed = number[np.searchsorted(topology.face_nodes, topology.first)][corners]
     renamed[quads] = np.where(row >= 0, number[rows[row]], renamed[quads])
     return dataclasses.replace(
         topology,
         number=number,
-        first=topology.face_nodes[lead],
-        edge=topology.edge[topology.number[lead]],
+        first=topology.face_nodes[leads],
+        edge=topology.edge[topology.number[leads]],
         quads=dataclasses.replace(topology.quads, corners=renamed),
     )

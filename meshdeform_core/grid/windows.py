@@ -58,7 +58,7 @@ class Rectangles:
     def windows(self) -> list[Window]:
         """The rectangles as windows of nodes."""
         rows = zip(self.side.tolist(), self.low.tolist(), self.high.tolist(), strict=True)
-        return [Window(side // 6, _SIDES[side % 6], (a, b), (c, d)) for side, (a, b), (c, d) in rows]
+        return [Window(side // 6, Side(side % 6), (a, b), (c, d)) for side, (a, b), (c, d) in rows]
 
     def quads_of(self, number: int) -> IntArray:
         """The face quads of one rectangle."""
@@ -72,7 +72,6 @@ class Rectangles:
         return Rectangles(side, label, low, high, quads, sizes)
 
 
-_SIDES = tuple(Side)
 _TOGETHER = 200_000
 """Face quads divided at a time, which bounds the memory."""
 

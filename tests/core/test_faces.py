@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from grids import block_around, frame, frame_2d, permuted, polar, whole_face
 
-from meshdeform_core.grid import Connection, Grid, Patch, Side, Window
+from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
 from meshdeform_core.grid.faces import (
     Role,
     clustered_interfaces,
@@ -54,11 +54,14 @@ def test_area_vectors_close_and_point_outwards(make, axes, flips):
 
 def test_boxes_areas_and_first_cells_of_a_single_block():
     x, y, z = np.array([0.0, 0.1, 0.5, 2.0]), np.linspace(0.0, 3.0, 4), np.array([0.0, 0.25, 1.0])
-    grid = Grid.from_blocks([block_around(x, y, z)])
+    hot = Patch("hot", (Window(0, Side.KMIN, (0, 0), (2, 3)),))
+    grid = Grid.from_blocks([block_around(x, y, z)], patches=(hot,))
     faces = {face.label(grid): face for face in find_faces(grid, find_topology(grid))}
-    assert set(faces) == {f"block1.{side.label}" for side in Side}
-    first = faces["block1.imin"]
+    windows = ["kmin[1:3,1:4]", "kmin[3:4,1:4]"]
+    assert list(faces) == [f"block1.{name}" for name in ("imin", "imax", "jmin", "jmax", *windows[::-1], "kmax")]
+    first, other, left = (faces[f"block1.{name}"] for name in ("imin", *windows))
     assert (first.area, first.first_height, first.median_height) == pytest.approx((3.0, 0.1, 0.1))
+    assert (other.patch, left.patch, other.area, left.area) == (hot, None, pytest.approx(1.5), pytest.approx(4.5))
     assert first.stretching == pytest.approx((2.0 / 3) / 0.1)
     assert faces["block1.imax"].stretching == pytest.approx((2.0 / 3) / 1.5)
     assert faces["block1.imax"].finest == pytest.approx(0.1 / 1.5)
@@ -66,31 +69,20 @@ def test_boxes_areas_and_first_cells_of_a_single_block():
     assert faces["block1.kmax"].plane is not None
 
 
-def test_pieces_are_windows_of_patches_and_of_what_is_left():
-    grid = Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 5),) * 3)])
-    patch = Patch("hot", (Window(0, Side.KMIN, (0, 0), (2, 4)),))
-    grid = dataclasses.replace(grid, patches=(patch,))
-    found = [face for face in find_faces(grid, find_topology(grid)) if face.window.side is Side.KMIN]
-    assert {(face.patch and face.patch.name, face.window.ranges) for face in found} == {
-        ("hot", "1:3,1:5"), (None, "3:5,1:5")
-    }  # fmt: skip
-    assert sum(face.area for face in found) == pytest.approx(1.0)
-
-
 def test_a_surface_is_made_of_its_faces():
-    x, y, z = 5.0 + np.array([0.0, 0.1, 0.5, 2.0]), np.linspace(-3.0, 0.0, 4), 7.0 + np.array([0.0, 0.25, 1.0])
+    x, y, z = 5.0 + np.array([0.0, 0.1, 0.5, 2.0]), np.array([-3.0, -2.5, -1.0, 0.0]), 7.0 + np.array([0.0, 1.0])
     grid = Grid.from_blocks([block_around(x, y, z)])
     whole = {side: whole_face(grid.shapes[0], 0, side) for side in Side}
-    patches = (Patch("far", (whole[Side.JMIN],), "wing", "BCFarfield"),
-               Patch("a", (whole[Side.KMIN], whole[Side.IMIN]), "wing", "BCWall"))  # fmt: skip
+    patches = (Patch("far", (whole[Side.IMIN],), "wing", "BCFarfield"),
+               Patch("a", (whole[Side.KMIN], whole[Side.JMIN]), "wing", "BCWall"))  # fmt: skip
     outside = outside_of(dataclasses.replace(grid, patches=patches))
     (wing,) = (surface for surface in outside.surfaces if surface.named)
-    assert (wing.name, wing.role, wing.declared, set(wing.patches)) == ("wing", Role.WALL, True, {"far", "a"})
+    assert (wing.name, wing.role, wing.declared, wing.patches) == ("wing", Role.WALL, True, ("far", "a"))
     assert len(wing.patches) == 2 < len(wing.faces)
     assert wing.area == pytest.approx(2 * 3 + 2 * 1 + 3 * 1)
     np.testing.assert_array_equal(wing.box, [[5, -3, 7], [7, 0, 8]])
-    # Nine cells of height 0.25, six of height 1, six of height 0.1.
-    assert (wing.first_height, wing.median_height) == pytest.approx((0.1, 0.25))
+    # Nine cells of height 1, three of height 0.1, three of height 0.5.
+    assert (wing.first_height, wing.median_height) == pytest.approx((0.1, 1.0))
     assert sorted(wing.quads) == sorted(quad for face in wing.faces for quad in face.quads)
     np.testing.assert_array_equal(outside.extent, [2, 3, 1])
     assert outside.of_role(Role.WALL) == (wing,)
@@ -120,12 +112,15 @@ def test_a_body_without_clustered_cells_is_a_wall():
     lines = [np.linspace(a, b, 4) for a, b in itertools.pairwise(x)]
     blocks = [block_around(lines[i], lines[j], lines[k]) for i in range(3) for j in range(3) for k in range(3)
               if (i, j, k) != (1, 1, 1)]  # fmt: skip
-    grid = Grid.from_blocks(blocks)
-    found = outside_of(grid)
+    for block in blocks:
+        block[..., 0] += 0.1 * np.cos(block[..., 1:]).prod(axis=-1) * (block[..., 0] == 2.0)
+    found = outside_of(Grid.from_blocks(blocks))
     inner = [s for s in found.surfaces if np.abs(s.box).max() < 1.0]
     assert len(inner) == 6
     assert {s.role for s in inner} == {Role.WALL}
-    assert {s.role for s in found.surfaces if s not in inner} == {Role.FAR}
+    curved = [s for s in found.surfaces if s.box[0, 0] > 1.9]
+    assert {s.role for s in curved} == {Role.UNKNOWN}
+    assert {s.role for s in found.surfaces if s not in inner and s not in curved} == {Role.FAR}
 
 
 def test_a_ring_has_wall_far_field_and_end_planes():
@@ -156,6 +151,8 @@ def test_a_cube_says_nothing():
         (("", "", "SYMM"), Role.SYMMETRY),
         (("", "", "outlet_2"), Role.FAR),
         (("UserDefined", "", "a"), Role.UNKNOWN),
+        (("wedge", "wall", "a"), Role.END),
+        (("", "Far", "wall"), Role.FAR),
     ],
 )
 def test_what_the_file_declares_decides(words, role):
@@ -167,15 +164,40 @@ def test_what_the_file_declares_decides(words, role):
     assert surface.declared is (role is not Role.UNKNOWN)
 
 
-@pytest.mark.parametrize(("kind", "role"), [("patch", Role.UNKNOWN), ("", Role.SYMMETRY)])
-def test_a_plane_that_openfoam_calls_a_patch_is_no_symmetry_plane(kind, role):
-    """The open top of a tank, beside its walls: OpenFOAM has types of its own for symmetry planes."""
-    grid = Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 5),) * 3)])
-    walls = tuple(whole_face(grid.shapes[0], 0, side) for side in (Side.IMIN, Side.IMAX, Side.KMIN))
-    top = whole_face(grid.shapes[0], 0, Side.KMAX)
-    patches = (Patch("wall", walls, "", "wall"), Patch("top", (top,), "", kind))
-    found = {s.name: s.role for s in outside_of(dataclasses.replace(grid, patches=patches)).surfaces}
-    assert (found["wall"], found["top"]) == (Role.WALL, role)
+EVEN, END = np.linspace(0.0, 1.0, 7), ["end", "end"]
+TO_WALL, STEEP = (np.expm1(a * np.linspace(0.0, 1.0, 13)) / np.expm1(a) for a in (4.0, 7.0))
+TO_BOTH = 0.5 + 0.5 * np.tanh(np.linspace(-3.0, 3.0, 13)) / np.tanh(3.0)
+FINE_AWAY = np.array([0.0, 0.05, 0.06, 0.07, 0.4, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("y", "kinds", "roles"),
+    [
+        (TO_WALL, {}, ["unknown", "unknown", "wall", "far", *END]),
+        (TO_WALL, {"imax": "outlet", "kmin": "farfield", "kmax": "symmetry"},
+         ["symmetry", "far", "wall", "far", "end", "symmetry"]),
+        # OpenFOAM has types of its own for symmetry planes: this is the open side of a tank.
+        (TO_WALL, {"imin": "patch", "imax": "outlet"}, ["unknown", "far", "wall", "far", *END]),
+        # Converters call all faces far fields, but not all are.
+        (TO_WALL, {"jmin": "farfield"}, ["unknown", "unknown", "far", "far", *END]),
+        (STEEP, {"jmin": "farfield"}, ["unknown", "unknown", "wall", "far", *END]),
+        (TO_BOTH, {"imin": "outlet"}, ["far", "symmetry", "wall", "wall", *END]),
+        (FINE_AWAY, {}, ["unknown", "unknown", "unknown", "far", *END]),
+    ],
+)  # fmt: skip
+def test_roles_of_one_block(y, kinds, roles):
+    """Two layers of cells along z, others along y; in any length unit."""
+    block = block_around(EVEN, y, EVEN[:3])
+    patches = tuple(Patch("p", (whole_face(block.shape[:3], 0, Side[side.upper()]),), "", kind)
+                    for side, kind in kinds.items())  # fmt: skip
+    for size in (1.0, 1e-9):
+        found = roles_of(Grid.from_blocks([size * block], patches=patches))
+        assert [role.value for role in found.values()] == roles
+        # Curved ends are no end planes, nor walls.
+        curved = size * (block + [0.0, 0.0, 0.1] * np.sin(block[..., :1]))
+        bent = outside_of(Grid.from_blocks([curved]))
+        assert bent.roles[4:] == (Role.UNKNOWN,) * 2
+        assert [face.plane is None for face in bent.faces] == [False] * 4 + [True] * 2
 
 
 def test_one_layer_of_cells_is_thin():
@@ -200,21 +222,18 @@ def test_walls_of_samples_are_found_without_their_names(name):
     assert len(guessed) > 0.3 * len(declared)
 
 
-def cube_of_blocks(rng):
-    """2 x 2 x 2 blocks of 2 x 3 x 2 cells, some of them left-handed, of which all outside faces are patches."""
-    blocks, patches = [], []
-    for number, place in enumerate(product((0, 1), repeat=3)):
+def some_blocks_of_a_cube(rng):
+    """Some of 2 x 2 x 2 blocks of 2 x 3 x 2 cells in any order, some of them left-handed."""
+    blocks = []
+    for place in rng.permutation(list(product((0, 1), repeat=3)))[: rng.integers(2, 7)]:
         points = block_around(*(np.linspace(at, at + 1, n) for at, n in zip(place, (3, 4, 3), strict=True)))
-        mirrored = rng.random() < 0.5
-        blocks.append(points[::-1] if mirrored else points)
-        for side in Side:
-            if side % 2 == (place[side.axis] + (mirrored and side.axis == 0)) % 2:
-                patches.append(Patch("outside", (whole_face(points.shape[:3], number, side),), bc_type="patch"))
-    return blocks, patches
+        blocks.append(points[::-1] if rng.random() < 0.5 else points)
+    return blocks
 
 
-def groups_of_cells(grid: Grid, both: set[frozenset]) -> int:
-    """Nodes of a grid, one cell at a time: at each place, cells joined by faces that are not declared share one."""
+def groups_of_cells(grid: Grid, both: set[frozenset], undeclared: set[frozenset]) -> int:
+    """Nodes of a grid, one cell at a time: at each place, cells joined by faces that are not declared share one; groups
+    of them away from plates share theirs if an outside face is undeclared."""
     key = {}
     cells = []
     for block in range(grid.n_blocks):
@@ -229,36 +248,45 @@ def groups_of_cells(grid: Grid, both: set[frozenset]) -> int:
     count = 0
     for place in set().union(*cells):
         left = {number for number, cell in enumerate(cells) if place in cell}
-        links = [pair for pair in joined if left.issuperset(pair)]
+        links, shared = [pair for pair in joined if left.issuperset(pair)], set()
         while left:
-            count += 1
             group = {left.pop()}
             while more := {n for pair in links for n in pair if group & set(pair)} - group:
                 group |= more
             left -= group
+            faces = {face for face, cells_at in key.items() if place in face and group.intersection(cells_at)}
+            shared.add(len(left) if faces & both or not faces & undeclared else -1)
+        count += len(shared)
     return count
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(24))
 def test_nodes_are_those_of_cells_that_faces_join(seed):
     rng = np.random.default_rng(seed)
-    blocks, patches = cube_of_blocks(rng)
+    blocks, patches = some_blocks_of_a_cube(rng), []
     undivided = find_topology(Grid.from_blocks(blocks))
-    shared = np.flatnonzero(undivided.partner >= 0)
-    chosen = shared[rng.random(len(shared)) < 0.4]
+    shared, outside = np.flatnonzero(undivided.partner >= 0), np.flatnonzero(undivided.external)
+    chosen = shared[rng.random(len(shared)) < 0.4 * (seed % 3)]
     chosen = np.unique([chosen, undivided.partner[chosen]])
-    side, u, v = undivided.quads.places(chosen)
-    for s, a, b in zip(side.tolist(), u.tolist(), v.tolist(), strict=True):
-        patches.append(Patch("plate", (Window(s // 6, Side(s % 6), (a, b), (a + 1, b + 1)),), bc_type="wall"))
+    declared = rng.random(len(outside)) < [1.0, 0.8, 0.4, 0.0][seed % 4]
+    for kind, quads in (("patch", outside[declared]), ("wall", chosen)):
+        side, u, v = undivided.quads.places(quads)
+        for s, a, b in zip(side.tolist(), u.tolist(), v.tolist(), strict=True):
+            patches.append(Patch("p", (Window(s // 6, Side(s % 6), (a, b), (a + 1, b + 1)),), bc_type=kind))
     grid = Grid.from_blocks(blocks, patches=tuple(patches))
     topology = find_topology(grid)
     np.testing.assert_array_equal(np.flatnonzero(topology.external & ~undivided.external), chosen)
     # Both sides of a plate move together.
     np.testing.assert_array_equal(topology.number, undivided.number)
     apart = separated(grid, topology)
-    places = grid.points[undivided.first[undivided.quads.corners[chosen]]].round(9)
-    both = {frozenset(map(tuple, quad)) for quad in places.tolist()}
-    assert apart.n_unique + grid.n_nodes - len(topology.face_nodes) == groups_of_cells(grid, both)
+    both, undeclared = (
+        {
+            frozenset(map(tuple, quad))
+            for quad in grid.points[undivided.first[undivided.quads.corners[some]]].round(9).tolist()
+        }
+        for some in (chosen, outside[~declared])
+    )
+    assert apart.n_unique + grid.n_nodes - len(topology.face_nodes) == groups_of_cells(grid, both, undeclared)
     assert (np.diff(apart.first) > 0).all()
     np.testing.assert_array_equal(apart.number[np.searchsorted(apart.face_nodes, apart.first)], range(apart.n_unique))
     corners = apart.first[apart.quads.corners]
@@ -269,32 +297,37 @@ def test_nodes_are_those_of_cells_that_faces_join(seed):
         np.testing.assert_array_equal(own, np.unique(apart.number[low:high]))
 
 
-def two_cubes(one: str, two: str, connected: bool) -> Grid:
-    x = np.linspace(0, 1, 4)
-    whole = (0, 0), (3, 3)
-    patches = (Patch("a", (Window(0, Side.IMAX, *whole),), bc_type=one),
-               Patch("b", (Window(1, Side.IMIN, *whole),), bc_type=two))  # fmt: skip
-    connection = Connection("c", 0, (3, 0, 0), (3, 3, 3), 1, (0, 0, 0), (0, 3, 3), (1, 2, 3))
-    return Grid.from_blocks(
-        [block_around(x, x, x), block_around(1 + x, x, x)], patches=patches,
-        connections=(connection,) if connected else (),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize(
-    ("types", "connected", "open_faces"),
+    ("types", "connection", "open_faces"),
     [
-        (("BCWall", "BCWallViscous"), True, True),
-        (("cyclicAMI", "cyclicAMI"), False, True),
-        (("BCGeneral", "BCGeneral"), True, False),
-        (("BCWall", "BCInflow"), True, False),
+        (("BCWall", "viscous_solid"), {}, True),
+        (("cyclicAMI", "cyclicAMI"), None, True),
+        (("BCGeneral", "BCGeneral"), {}, False),
+        (("BCWall", "BCInflow"), {}, False),
+        (("BCGeneral", "BCGeneral"), {"periodic": Periodicity()}, True),
+        (("BCGeneral", "BCGeneral"), {"end": (3, 3, 4), "donor_end": (0, 3, 4)}, True),
+        (("BCGeneral", "BCGeneral"), {"begin": (1, 0, 0), "end": (1, 3, 3), "donor_begin": (1, 0, 0)}, True),
     ],
 )
-def test_connections_decide_but_not_against_walls(types, connected, open_faces):
-    grid = two_cubes(*types, connected)
+def test_connections_decide_but_not_against_walls(types, connection, open_faces):
+    """Of three cubes in a row; between the last two are walls on both sides."""
+    x, whole, places = (
+        np.linspace(0, 1, 4),
+        ((0, 0), (3, 3)),
+        ((0, Side.IMAX), (1, Side.IMIN), (1, Side.IMAX), (2, Side.IMIN)),
+    )
+    patches = [Patch("p", (Window(*place, *whole),), bc_type=kind)
+               for place, kind in zip(places, (*types, "wall", "BCWALL"), strict=True)]  # fmt: skip
+    face = Connection("c", 0, (3, 0, 0), (3, 3, 3), 1, (0, 0, 0), (0, 3, 3), (1, 2, 3))
+    grid = Grid.from_blocks(
+        [block_around(n + x, x, x) for n in range(3)], patches=tuple(patches),
+        connections=() if connection is None else (dataclasses.replace(face, **connection),),
+    )  # fmt: skip
     topology = find_topology(grid)
-    assert topology.external[topology.quads.of_side(0, Side.IMAX)].all() == open_faces
-    assert separated(grid, topology).n_unique == topology.n_unique + 16 * open_faces
+    found = [set(topology.external[topology.quads.of_side(*place)].tolist()) for place in places]
+    assert found == [{open_faces}, {open_faces}, {True}, {True}]
+    assert separated(grid, topology).n_unique == topology.n_unique + 16 * (1 + open_faces)
+    assert (roles_of(grid)["block1.imax"] is Role.WALL) == (types[0] == "BCWall")
 
 
 @pytest.mark.parametrize(("other", "wakes"), [(False, []), (True, ["block1.imax", "block2.imin"])])
@@ -305,23 +338,6 @@ def test_a_wake_is_where_cells_cluster_from_both_sides(other, wakes):
     grid = Grid.from_blocks(blocks)
     topology = find_topology(grid)
     assert [face.label(grid) for face in clustered_interfaces(topology, find_outside(grid, topology))] == wakes
-
-
-def test_blocks_that_touch_at_an_edge_only():
-    """They keep common nodes where the file has no patches, and along the edge of a face between them without one."""
-    x = np.linspace(0, 1, 3)
-    blocks = [block_around(x, x, x), block_around(1 + x, 1 + x, x)]
-    bare = Grid.from_blocks(blocks)
-    assert separated(bare, find_topology(bare)).n_unique == 2 * 26 - 3
-    patches = [Patch("all", (Window(block, side, (0, 0), (2, 2)),)) for block in (0, 1) for side in Side]
-    grid = Grid.from_blocks(blocks, patches=tuple(patches))
-    assert separated(grid, find_topology(grid)).n_unique == 2 * 26
-    some = Grid.from_blocks(blocks, patches=tuple(patch for patch in patches if patch.windows[0].side != Side.IMAX))
-    assert separated(some, find_topology(some)).n_unique == 2 * 26
-    met = {(0, Side.IMAX), (1, Side.IMIN)}
-    neither = [patch for patch in patches if (patch.windows[0].block, patch.windows[0].side) not in met]
-    joined = Grid.from_blocks(blocks, patches=tuple(neither))
-    assert separated(joined, find_topology(joined)).n_unique == 2 * 26 - 3
 
 
 def test_collapsed_edges_stay_one_node():

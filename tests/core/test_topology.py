@@ -1,18 +1,19 @@
 """Coincident nodes and shared faces, whatever the orientation."""
 
-import dataclasses
 import itertools
 
 import grids
 import numpy as np
 import pytest
-from grids import block_around, permuted, transform_matrix, turn_block, whole_face
+from grids import block_around, permuted, transform_matrix, turn_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from random_grids import ORIENTATIONS
 
-from meshdeform_core.grid import Grid, Patch, Side
+from meshdeform_core.grid import Grid, Side, Window
 from meshdeform_core.grid.connections import check_connections, connected_nodes, find_interfaces
-from meshdeform_core.grid.topology import COLLAPSED, find_topology
+from meshdeform_core.grid.topology import COLLAPSED, EXTERNAL, FaceQuads, find_topology, quads_of_windows
+from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
 
 LINE = np.linspace(0.0, 1.0, 5)
@@ -41,41 +42,6 @@ def test_two_blocks_in_all_48_orientations(axes, flips):
     assert check_connections(Grid.from_blocks([first, second], connections=(connection,)), topology) == []
 
 
-def test_partial_face():
-    small = block_around(np.array([1.0, 1.5, 2.0]), LINE[1:4], LINE[:3])
-    grid = Grid.from_blocks([block_around(LINE, LINE, LINE), small])
-    topology = find_topology(grid)
-    (connection,) = find_interfaces(grid, topology)
-    assert (connection.begin, connection.end) == ((4, 1, 0), (4, 3, 2))
-    assert np.count_nonzero(topology.external[topology.quads.of_side(0, Side.IMAX)]) == 16 - 4
-
-
-def test_c_grid_cut_folds_a_face_onto_itself():
-    upper = np.stack([np.linspace(3, 1, 5), 0 * LINE], axis=1)
-    nose = np.stack([np.cos(np.linspace(0, 2 * np.pi, 9)), 0.3 * np.sin(np.linspace(0, 2 * np.pi, 9))], axis=1)
-    wall = np.concatenate([upper[:-1], nose, upper[::-1][1:]])
-    wall[-5:] = wall[:5][::-1]
-    away = np.stack([np.linspace(0, 0, len(wall)), np.linspace(-1, 1, len(wall))], axis=1)
-    plane = np.stack([wall + s * away for s in (0.0, 0.5, 1.0)], axis=1)
-    x = np.zeros((*plane.shape[:2], 2, 3))
-    x[..., :2] = plane[:, :, None]
-    x[:, :, 1, 2] = 1.0
-    topology = find_topology(Grid.from_blocks([x]))
-    on_cut = topology.partner[topology.quads.of_side(0, Side.JMIN)] >= 0
-    assert on_cut.sum() == 2 * 4
-
-
-def test_collapsed_edge_and_pole():
-    angle, radius = np.linspace(0, np.pi / 2, 6), np.linspace(0, 1, 4)
-    a, r, z = np.meshgrid(angle, radius, LINE, indexing="ij")
-    grid = Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), z], axis=-1)])
-    topology = find_topology(grid)
-    assert np.all(topology.partner[topology.quads.of_side(0, Side.JMIN)] == COLLAPSED)
-    assert np.all(topology.external[topology.quads.of_side(0, Side.KMIN)])
-    axis = topology.numbers_of(np.flatnonzero((grid.points[:, :2] == 0).all(axis=1)))
-    assert len(np.unique(axis)) == 5
-
-
 @pytest.mark.parametrize("noise", [0.0, 1e-13])
 def test_tolerance_is_relative_to_the_local_edge(noise):
     """Boundary-layer nodes closer together than far-field noise stay apart; noisy copies are one node."""
@@ -88,43 +54,33 @@ def test_tolerance_is_relative_to_the_local_edge(noise):
     assert topology.n_unique == len(topology.face_nodes) - 6 * 5
 
 
-def test_a_connection_joins_patches_also_where_another_is_between_walls():
-    grid = Grid.from_blocks([brick((n, 0, 0)) for n in range(3)])
-    connections = find_interfaces(grid, find_topology(grid))
-    places = (0, Side.IMAX, "BCWall"), (1, Side.IMIN, "BCWall"), (1, Side.IMAX, ""), (2, Side.IMIN, "")
-    patches = tuple(Patch(str(n), (whole_face((5, 4, 6), *at),), "", kind) for n, (*at, kind) in enumerate(places))
-    topology = find_topology(dataclasses.replace(grid, patches=patches, connections=connections))
-    joined = [bool((topology.partner[topology.quads.of_side(*at)] >= 0).all()) for *at, _ in places]
-    assert joined == [False, False, True, True]
+def two_storeys() -> Grid:
+    """Two frames, one on the other, whose indices run in all directions."""
+    blocks = [grids.frame().block(b) + [0.0, 0.0, z] for z in (0.0, 1.0) for b in range(8)]
+    return Grid.from_blocks([turn_block(x, *turn) for x, turn in zip(blocks, ORIENTATIONS[::3], strict=True)])
 
 
-def lattice(counts: tuple[int, int, int], nodes: int = 3, turned: bool = False) -> Grid:
-    """A bent box cut into blocks with ``nodes`` along each index; ``turned``: their indices run in all directions."""
-    orientations = itertools.cycle(
-        itertools.product(itertools.permutations(range(3)), [(False, True, False), (True, False, False)])
-    )
-    blocks = []
-    for place in np.ndindex(*counts):
-        lines = [at + np.linspace(0.0, 1.0, nodes) for at in place]
-        x = grids.block_around(*lines)
-        x[..., 2] += 0.1 * np.sin(x[..., 0]) * np.cos(x[..., 1])
-        blocks.append(turn_block(x, *next(orientations)) if turned else x)
-    return Grid.from_blocks(blocks)
-
-
+# With the number of interfaces of each.
 GRIDS = {
-    "lattice": lambda: lattice((3, 3, 2)),
-    "turned": lambda: lattice((3, 2, 3), turned=True),
-    "frame": grids.frame,
-    "plane": grids.frame_2d,
-    "seam": grids.polar,
-    "turned plane": lambda: grids.permuted(grids.frame_2d(), (2, 0, 1), (True, False, True)),
+    "frame": (grids.frame, 8),
+    "turned": (two_storeys, 24),
+    "partial": (
+        lambda: Grid.from_blocks([block_around(LINE, LINE, LINE), block_around(1.0 + LINE, LINE[1:4], LINE[:3])]),
+        1,
+    ),
+    "plane": (grids.frame_2d, 8),
+    "seam": (grids.polar, 1),
+    "cut": (grids.cut_behind_a_body, 1),
+    "discs": (grids.discs, 3),
+    # No transformation of indices describes it.
+    "prisms": (grids.prisms, 0),
+    "turned plane": (lambda: grids.permuted(grids.frame_2d(), (2, 0, 1), (True, False, True)), 8),
 }
 
 
 @pytest.fixture(params=GRIDS)
 def grid(request) -> Grid:
-    return GRIDS[request.param]()
+    return GRIDS[request.param][0]()
 
 
 @settings(deadline=None, max_examples=40)
@@ -142,7 +98,55 @@ def test_overlapping_boxes_are_those_of_all_pairs(seed):
     np.testing.assert_array_equal(overlapping_boxes(one, two), np.argwhere(hit))
 
 
-def test_interfaces_cover_every_shared_quad_once(grid):
+def test_shared_faces_are_those_with_the_same_corners(grid):
+    """By the coordinates of every face of a cell, one by one."""
+    topology, x, same = find_topology(grid), grid.points.round(9) + 0.0, {}
+    for block, side in itertools.product(range(grid.n_blocks), Side):
+        plane = np.take(grid.block(block, x), side.layer(grid.shapes[block]), axis=side.axis)
+        first = topology.quads.of_side(block, side).start
+        for number, (u, v) in enumerate(np.ndindex(*topology.quads.counts[block, side])):
+            corners = frozenset(map(tuple, plane[u : u + 2, v : v + 2].reshape(-1, 3).tolist()))
+            same.setdefault(corners, []).append(first + number)
+    assert topology.n_unique == len(np.unique(x[topology.face_nodes], axis=0))
+    for corners, quads in same.items():
+        alone = COLLAPSED if len(corners) < grid.dimension else EXTERNAL
+        pair = len(quads) == 2 and alone == EXTERNAL
+        assert topology.partner[quads].tolist() == (quads[::-1] if pair else [alone] * len(quads))
+        for quad in quads:
+            assert set(map(tuple, x[topology.first[topology.quads.corners[quad]]].tolist())) == corners
+
+
+def plain_windows(grid: Grid, faces: FaceQuads, label: np.ndarray) -> list[tuple[int, Window]]:
+    """Runs of faces with the same label in each row of a side; equal runs of successive rows are one window."""
+    found = []
+    for block, side in itertools.product(range(grid.n_blocks), Side):
+        most, begun = [grid.shapes[block][axis] - 1 for axis in side.tangential], {}
+        rows = label[faces.of_side(block, side)].reshape(faces.counts[block, side])
+        for u, row in enumerate([*rows.tolist(), []]):
+            places = [(number, v) for v, number in enumerate(row) if number >= 0]
+            starts = [(number, v) for number, v in places if (number, v - 1) not in places]
+            ends = [(number, v) for number, v in places if (number, v + 1) not in places]
+            runs = {(number, low, high + 1) for (number, low), (_, high) in zip(starts, ends, strict=True)}
+            for run in begun.keys() - runs:
+                low, high = (begun.pop(run), run[1]), (min(u, most[0]), min(run[2], most[1]))
+                found.append((run[0], Window(block, side, low, high)))
+            begun = {run: begun.get(run, u) for run in runs}
+    return sorted(
+        found, key=lambda each: (each[1].block, each[1].side, each[0], each[1].low[1], each[1].high[1], each[1].low)
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_windows_are_equal_runs_of_successive_rows(grid, seed):
+    random, faces = np.random.default_rng(seed), find_topology(grid).quads
+    label = random.choice([-1, 0, 1, 1, 1], len(faces.corners))
+    found = rectangles(grid, faces, label)
+    assert list(zip(found.label.tolist(), found.windows(), strict=True)) == plain_windows(grid, faces, label)
+    for number, window in enumerate(found.windows()):
+        np.testing.assert_array_equal(found.quads_of(number), quads_of_windows(faces, [window])[0])
+
+
+def test_interfaces_cover_every_shared_quad_once(grid, request):
     topology = find_topology(grid)
     connections = find_interfaces(grid, topology)
     count = 0
@@ -151,5 +155,7 @@ def test_interfaces_cover_every_shared_quad_once(grid):
         np.testing.assert_array_equal(topology.numbers_of(own), topology.numbers_of(donor))
         cells = np.abs(np.array(connection.end) - connection.begin)
         count += int(np.prod(cells[cells > 0]))
-    assert count == np.count_nonzero(topology.partner >= 0) // 2 > 0
+    number, shared = GRIDS[request.node.callspec.params["grid"]][1], np.count_nonzero(topology.partner >= 0) // 2
+    assert count == (shared if number else 0) <= shared > 0
     assert len({(c.block, c.begin, c.end, c.donor_block) for c in connections}) == len(connections)
+    assert len(connections) == number

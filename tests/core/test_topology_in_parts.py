@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 from forked_ranks import on_ranks, poison_parts, small_blocks_are_cut
-from grids import block_around, frame, frame_2d, interleaved, permuted, polar
+from grids import LINE, block_around, discs, frame, frame_2d, interleaved, permuted, polar
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_grids import block_grids
@@ -16,8 +16,6 @@ from random_grids import block_grids
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.selection import BY_PREFIX, with_components
 from meshdeform_core.grid.topology import find_topology
-
-LINE = np.linspace(0.0, 1.0, 5)
 
 
 @pytest.fixture(autouse=True)
@@ -57,13 +55,6 @@ def noisy(grid, size, seed=1):
     return grid.moved(grid.points + noise)
 
 
-def pole():
-    """A collapsed edge, and triangles around a pole."""
-    angle, radius = np.linspace(0, np.pi / 2, 6), np.linspace(0, 1, 4)
-    a, r, z = np.meshgrid(angle, radius, LINE, indexing="ij")
-    return Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), z], axis=-1)] * 2)
-
-
 def unequal():
     """A large block among small ones; edges from 1e-8 to 1."""
     small = [block_around(np.linspace(n, n + 1, 3), 1 + LINE[:2], LINE[:3]) for n in range(4)]
@@ -76,7 +67,7 @@ GRIDS = {
     "noise": lambda: noisy(frame(), 1e-4),
     "plane ik": lambda: permuted(frame_2d(5), (0, 2, 1), (False, True, False)),
     "O-grid": polar,
-    "pole": pole,
+    "discs": discs,
     "unequal": unequal,
     # Two components that lie in the same place, their blocks in turn.
     "overset": lambda: with_components(interleaved(a=frame(4, 3), b=frame(4, 3)), BY_PREFIX),
