@@ -1,8 +1,7 @@
-"""The verdict on cells, against samples of the Jacobian and exact rational arithmetic; its pass in single precision,
-against definitions in double precision written plainly with numpy."""
+"""The verdict on cells, against samples of the Jacobian; its pass in single precision, against definitions in double
+precision written plainly with numpy."""
 
 import itertools
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -37,59 +36,6 @@ def sampled_jacobian(x, count=21):
     return np.einsum("mrstd,mrstd->mrst", np.cross(u, v), w).reshape(len(x), -1)
 
 
-def exact_coefficients(x):
-    """Bernstein coefficients of the Jacobian of one hexahedron, from its values at 27 points, in rational numbers."""
-    at = {c: [Fraction(float(v)) for v in p] for c, p in zip(itertools.product((0, 1), repeat=3), x, strict=True)}
-
-    def jacobian(r, s, t):
-        weight = {c: [(f if n else 1 - f) for n, f in zip(c, (r, s, t), strict=True)] for c in at}
-        rows = []
-        for axis in range(3):
-            a, b = (o for o in range(3) if o != axis)
-            rows.append(
-                [sum((1 if c[axis] else -1) * weight[c][a] * weight[c][b] * at[c][d] for c in at) for d in range(3)]
-            )
-        (a, b, c), (d, e, f), (g, h, i) = rows
-        return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-
-    half = Fraction(1, 2)
-    values = {n: jacobian(*(half * m for m in n)) for n in itertools.product(range(3), repeat=3)}
-    for axis in range(3):
-        for rest in itertools.product(range(3), repeat=2):
-            low, middle, high = (tuple(rest[:axis]) + (m,) + tuple(rest[axis:]) for m in range(3))
-            values[middle] = 2 * values[middle] - half * (values[low] + values[high])
-    return values
-
-
-def exactly_positive(b, depth=12):
-    """Is the polynomial with these coefficients positive on the whole cell? By exact subdivision."""
-    corners = [b[n] for n in itertools.product((0, 2), repeat=3)]
-    if min(corners) <= 0:
-        return False
-    if min(b.values()) > 0:
-        return True
-    assert depth, "not decided"
-    return all(exactly_positive(part, depth - 1) for part in halves(b))
-
-
-def halves(b):
-    parts = [b]
-    for axis in range(3):
-        split = []
-        for part in parts:
-            low, high = {}, {}
-            for rest in itertools.product(range(3), repeat=2):
-                key = [tuple(rest[:axis]) + (m,) + tuple(rest[axis:]) for m in range(3)]
-                first, middle, last = (part[k] for k in key)
-                one, two = (first + middle) / 2, (middle + last) / 2
-                center = (one + two) / 2
-                low |= dict(zip(key, (first, one, center), strict=True))
-                high |= dict(zip(key, (center, two, last), strict=True))
-            split += [low, high]
-        parts = split
-    return parts
-
-
 def distorted_cubes(sigma, count, seed=0):
     return CORNERS + sigma * np.random.default_rng(seed).standard_normal((count, 8, 3))
 
@@ -97,8 +43,9 @@ def distorted_cubes(sigma, count, seed=0):
 @pytest.mark.parametrize("sigma", [0.3, 0.5])
 def test_no_cell_passes_that_has_a_negative_sample_and_none_fails_without_reason(sigma):
     x = distorted_cubes(sigma, 12000)
-    # Those with positive corners are of interest, and few of the others.
-    x = np.concatenate([x[:20], x[sampled_jacobian(x, 2).min(axis=1) > 0][:250]])
+    # Those with positive corners that are nearly valid or invalid are of interest, and few of the others.
+    y = x[sampled_jacobian(x, 2).min(axis=1) > 0]
+    x = np.concatenate([x[:20], y[:100], y[np.argsort(np.abs(sampled_jacobian(y, 9).min(axis=1)))[:150]]])
     failed = decide(np.broadcast_to(CORNERS, x.shape).copy(), x, np.ones(len(x)))
     lowest = np.concatenate([sampled_jacobian(part).min(axis=1) for part in np.array_split(x, 10)])
     assert not ((lowest <= 0) & (failed == 0)).any()
@@ -125,17 +72,6 @@ def test_an_invalid_cell_has_the_first_step_in_which_it_was():
     last, one, two = invalid(225, 3), invalid(75, 1), invalid(150, 2)
     assert last == {cell: 1 if cell in one else 2 if cell in two else 3 for cell in last}
     assert {1, 2} <= set(last.values())
-
-
-def test_exact_arithmetic_agrees():
-    x = distorted_cubes(0.35, 3000, seed=1)
-    corners_positive = sampled_jacobian(x, 2).min(axis=1) > 0
-    near = np.argsort(np.abs(sampled_jacobian(x, 5).min(axis=1)) + 1e9 * ~corners_positive)[:12]
-    failed = decide(np.broadcast_to(CORNERS, x.shape).copy(), x, np.ones(len(x)))
-    exact = np.array([exactly_positive(exact_coefficients(x[n])) for n in near])
-    np.testing.assert_array_equal(failed[near] == 0, exact)
-    assert exact.any()
-    assert not exact.all()
 
 
 def block(n, twist=0.0):
