@@ -144,13 +144,11 @@ class PreparedComposite(PreparedMethod):
         out = filled(problem, np.nan)
         face = self.mover.move(displacement, out)
         first, second = Constraints(problem, face.copy()), None
-        kinks = mover.kinks + first.kinks
         if self.left_out and filler:
             # Constraints on the sides that the second step fills.
             impose(problem, face, out)
             filler.fill(out)
             second = Constraints(problem, on_faces(out, problem))
-            kinks += second.kinks
         del out, face
 
         def push(change: FloatArray) -> FloatArray:
@@ -169,7 +167,8 @@ class PreparedComposite(PreparedMethod):
                 filler.pull(gradient)
             return mover.pull(first.gathered(gradient), gradient)
 
-        return Linearised(push, pull, kinks)
+        # The second ones count the nodes of the first ones, too.
+        return Linearised(push, pull, mover.kinks + (second or first).kinks)
 
 
 def with_known_periodic(problem: Problem, periodic: IntArray) -> Problem:
