@@ -1,24 +1,17 @@
 """IDW against a slow twin, the limits it must have, and its options."""
 
-import itertools
-
 import numpy as np
 import pytest
-from cases import apply, body_specs, inner_nodes, problem_of, told, turning
+from cases import apply, body_specs, everything_moves, formulas, inner_nodes, problem_of, told, turning
 from grids import block_around, frame, frame_2d, polar
-from reference.idw import slow_idw
+from reference.idw import nodal_areas, slow_idw
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.motions.expression import expression
-from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
-from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.numerics.rotation import continuous
-from meshdeform_core.repair import RepairOptions
 from meshdeform_core.wording import literal
-from meshdeform_samples import load
 from meshdeform_samples.reproduce.paper_methods import ReweightedIDW
 
 VARIANTS = {
@@ -47,16 +40,27 @@ VARIANTS = {
 IN_SPACE = ("none", "quaternion", "division", "blend", "lie")
 
 
+SIDES = [BoundarySpec(face, (face,), Kind.MOVING, None, turning(25)) for face in ("block2.imax", "block7.imin")]
+
+
 @pytest.mark.parametrize(
-    ("name", "grid"), [*((name, frame_2d(4)) for name in VARIANTS), *((name, frame(3, 2)) for name in IN_SPACE)]
-)
-def test_slow_twin(name, grid):
-    problem = problem_of(grid, body_specs(turning(25))[: 2 if grid.dimension == 3 else 1])
+    ("name", "grid", "moving"),
+    [
+        *((name, frame_2d(4), body_specs(turning(25))[:1]) for name in VARIANTS),
+        *((name, frame(3, 2), body_specs(turning(25))[:1]) for name in IN_SPACE),
+        # Moving faces that touch fixed ones, one body or two; a single layer of cells.
+        *(("lie", grid, SIDES[:count]) for grid in (frame_2d(4), frame(3, 2)) for count in (1, 2)),
+        ("lie", frame(3, 1), body_specs(turning(25))[:1]), ("lie by weights", frame(3, 1), SIDES),
+    ],
+)  # fmt: skip
+def test_slow_twin(name, grid, moving):
+    span = BoundarySpec("span", ("*.k*",), Kind.SLIP)
+    problem = problem_of(grid, [*moving, span] if grid.dimension == 3 else moving)
     # The body is also bent and twisted: every node of it turns by another angle.
     at = told(problem) * (1.0 + 0.2 * np.sin(problem.source_points @ [[2.0], [1.0], [1.5]]))
     moved = apply(Options("idw", idw=VARIANTS[name]), problem, at)
-    inside = inner_nodes(problem)
-    targets = inside[:: max(1, len(inside) // 12)]
+    free = np.union1d(inner_nodes(problem), np.setdiff1d(problem.topology.first, problem.source_flat))
+    targets = free[:: max(1, len(free) // 12)]
     expected = slow_idw(problem, at, grid.points[targets], VARIANTS[name])
     # Beside slip planes the displacement across them is less.
     np.testing.assert_allclose(moved[targets, :2], expected[:, :2], atol=1e-12)
@@ -91,17 +95,44 @@ def test_a_boundary_that_stretches_and_shears_carries_its_grid_along(name, grid)
     assert np.abs(far).max() < 0.3
 
 
-def test_auto_alpha_is_eq_18_capped_and_says_so():
-    problem = problem_of(frame(), body_specs(turning(60)))
+@pytest.mark.parametrize(
+    ("size", "alpha", "reason"),
+    [(1e-6, 1e-3, "{:.3g}"), (0.1, None, "{:.3g}"), (1.0, 0.3, "{:.3g}, capped at 0.3 (crossed cells)")],
+)
+def test_auto_alpha_is_eq_18_within_limits_and_says_so(size, alpha, reason):
+    problem = problem_of(frame(), body_specs(formulas("0.3*y", "0.2*x", "0")))
+    at = size * told(problem)
     prepared = make_method(Options("idw", idw=IDW(alpha="auto"))).prepare(problem)
-    prepared.apply(told(problem))
-    setting = prepared.account.settings["alpha"]
-    assert setting.value == 0.3
-    assert "eq. 18" in setting.reason
-    assert "capped" in setting.reason
-    small = problem_of(frame(), body_specs(turning(1)))
-    prepared.apply(told(small))
-    assert 0.001 < prepared.account.settings["alpha"].value < 0.3
+    prepared.apply(at)
+    area, settings = nodal_areas(problem), prepared.account.settings
+    full = 5.0 / settings["length"].value * np.linalg.norm(at - area @ at / area.sum(), axis=1).max()
+    assert settings["alpha"].reason == "eq. 18 gives " + reason.format(full)
+    assert settings["alpha"].value == pytest.approx(alpha or full)
+
+
+ONLY, NEAR = "only for lie between moving and fixed boundaries", "0 nodes are close to sharp edges"
+
+
+@pytest.mark.parametrize(
+    ("problem", "options", "expected"),
+    [
+        (problem_of(frame(), body_specs(turning(1), Kind.SYMMETRY)), IDW(),
+         # Of 80 nodes in each of four planes, those off the first one have an image, then those off the last one.
+         {"a": (4.0, "one moving body"), "mirrored_sources": (320 + 240 + 480, "images at symmetry planes take part")}),
+        (problem_of(frame(), SIDES), IDW(), {"a": (3.0, "Luke et al.: the far field"), "transition": (0.5, "lie")}),
+        (problem_of(frame_2d(), SIDES), IDW(), {"a": (2.5, "lie in a plane grid"), "transition": (0.3, "lie")}),
+        (problem_of(frame_2d(), SIDES), IDW(a=3.5, transition=0.1, smoothing=2, remove_mean=True),
+         {"a": (3.5, "given"), "transition": (0.1, "given"), "smoothing": (2, f"given; {NEAR}"),
+          "remove_mean": (True, "given"), "summation": ("exact", "240 nodes with 96 sources")}),
+        (problem_of(frame_2d(), SIDES), IDW(rotation="blend"),
+         {"transition": (0.0, ONLY), "smoothing": (0, f'auto: only for rotation = "lie"; {NEAR}'),
+          "remove_mean": (False, 'auto: only rotation = "lie" does')}),
+        (problem_of(frame_2d(), everything_moves()), IDW(), {"transition": (0.0, ONLY)}),
+    ],
+)  # fmt: skip
+def test_what_was_chosen_is_told_with_the_reason(problem, options, expected):
+    settings = make_method(Options("idw", idw=options)).prepare(problem).account.settings
+    assert {name: (settings[name].value, settings[name].reason) for name in expected} == expected
 
 
 EXPECTED = {
@@ -127,21 +158,3 @@ def test_bad_options(options):
     told = str(caught.value)
     assert told.startswith(f"method.idw.{name} = {literal(value)}")
     assert told.endswith(EXPECTED.get(name, ""))
-
-
-def test_rotations_at_a_thin_trailing_edge_do_not_jump():
-    """The edges across it nearly follow its mean normal, and a small shear turns their projections by any angle."""
-    grid, positions = load("wing").generate(12), []
-    names = {"x", "y", "z", "t"}
-    for stroke in np.linspace(0.876, 0.886, 5):
-        center = tuple(expression(part, ()) for part in ("0.25", "0", "0"))
-        twist = Rotate(expression(f"{stroke}*20*y", names), (0.0, 1.0, 0.0), center)
-        bend = Displace(tuple(expression(part, names) for part in ("0", "0", f"{stroke}*0.25*y**2")))
-        specs = (
-            BoundarySpec("wall", ("wing",), Kind.MOVING, None, Motion((twist, bend), {})),
-            BoundarySpec("symmetry", ("symmetry",), Kind.SYMMETRY),
-            BoundarySpec("far", ("far",), Kind.FIXED),
-        )
-        positions.append(deform(grid, Case(specs, repair=RepairOptions("off")), steps=1).grid.points)
-    largest = [np.linalg.norm(two - one, axis=1).max() for one, two in itertools.pairwise(positions)]
-    assert max(largest) < 1.05 * min(largest)

@@ -45,8 +45,13 @@ def transition_width(problem, options):
     """Ends of the transition from moving sources to fixed ones, 0 without one."""
     if options.rotation != "lie" or options.weights != "luke" or on_moving_faces(problem).all():
         return 0.0
-    auto = 0.3 if problem.grid.dimension == 2 else 0.5
+    auto = 0.3 if is_plane(problem) else 0.5
     return auto if options.transition == "auto" else options.transition
+
+
+def is_plane(problem):
+    """Whether a grid has at most one layer of cells along z."""
+    return len(np.unique(problem.grid.points[:, 2])) <= 2
 
 
 def on_moving_faces(problem):
@@ -57,13 +62,21 @@ def on_moving_faces(problem):
 
 def distance_of(problem, weight, far):
     """The distance, up to a factor, at which a total weight (sum of area r^-far) is that of a surface or a curve."""
-    if problem.grid.dimension == 2 or far <= 2.0:
+    touching = np.intersect1d(source_quads(problem, (Kind.MOVING,)), source_quads(problem, (Kind.FIXED,)))
+    if is_plane(problem) or far <= 2.0 or touching.size:
         return weight ** (-1.0 / max(far - 1.0, 1.0))
-    # No test has a moving face that touches a fixed one.
     b = breadth(problem)
     crossing = integrate.quad(lambda r: 2 * np.pi * r * (r**2 + b**2) ** (-far / 2), 0, np.inf)[0]
     steeper = 1.0 / (far - 2.0) - 1.0 / (far - 1.0)
     return weight ** (-1.0 / (far - 1.0)) / np.hypot(1.0, weight / crossing) ** steeper
+
+
+def one_body(problem):
+    """Whether all moving faces are connected by common nodes."""
+    first, *rest = (set(quad) for quad in source_quads(problem, (Kind.MOVING,)))
+    for _ in rest:
+        first = first.union(*(quad for quad in rest if quad & first))
+    return all(quad <= first for quad in rest)
 
 
 def breadth(problem):
@@ -126,11 +139,10 @@ def weights_of(problem, p, x, area, shift, displacement, options):
         if alpha == "auto":
             alpha = min(0.3, options.eta / length * np.linalg.norm(displacement - shift, axis=1).max())
         far, width = options.a, transition_width(problem, options)
-        if far == "auto" and width:
-            # All tests have one moving body, and no grid is a single layer of cells.
+        if far == "auto" and width and one_body(problem):
             far = 4.0
         elif far == "auto":
-            far = 2.5 if problem.grid.dimension == 2 and options.rotation == "lie" else 3.0
+            far = 2.5 if is_plane(problem) and options.rotation == "lie" else 3.0
         w = area * ((length / r) ** far + (alpha * length / r) ** options.b)
         if width:
             return shared_out(problem, w, length**far, far, width)
