@@ -1,21 +1,24 @@
 """RBF against scipy and a slow twin; its solvers, its greedy reduction, its centres."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 from cases import SETS, apply, bend, body_specs, everything_moves, inner_nodes, problem_of, sphere, told, turning
 from grids import frame, frame_2d, polar
-from reference.rbf import COMPACT, basis, distances, slow_rbf
-from scipy.interpolate import RBFInterpolator
+from reference.rbf import COMPACT, distances, slow_greedy, slow_rbf
 
 from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.errors import MethodError
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import Grid, Side
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import RBF, Options, Problem, make_method
-from meshdeform_core.methods.base import Account
+from meshdeform_core.methods.base import Account, Setting
+from meshdeform_core.methods.scattered.block_rbf import BlockRBF
 from meshdeform_core.methods.scattered.prepared_rbf import Centres, RadialSystem
+from meshdeform_core.methods.scattered.summation import fast_pays
 from meshdeform_core.numerics import krylov
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
@@ -34,23 +37,18 @@ def bent(problem: Problem) -> np.ndarray:
     return np.stack([0.1 * np.sin(2 * x[:, 1]), 0.15 * np.cos(2 * x[:, 0]), 0.05 * x[:, 0] * x[:, 1]], axis=1)
 
 
-@pytest.mark.parametrize(("solver", "axes"), [("direct", 3), ("krylov", 3), ("direct", 2)])
-def test_thin_plate_spline_is_that_of_scipy(solver, axes):
-    problem = problem_of(
-        *((frame(), body_specs(turning(25))) if axes == 3 else (frame_2d(), body_specs(turning(25))[:1]))
-    )
-    inside = inner_nodes(problem)
-    spline = RBFInterpolator(problem.source_points[:, :axes], told(problem), kernel="thin_plate_spline", degree=1)
-    moved = moved_by(RBF(solver=solver, tolerance=1e-13), problem)[inside]
-    np.testing.assert_allclose(moved, spline(problem.grid.points[inside, :axes]), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("radius", [1.5, 6.0])
-@pytest.mark.parametrize("name", COMPACT)
-def test_compact_functions_have_a_slow_twin(name, radius):
+@pytest.mark.parametrize(
+    ("name", "radius", "solver"),
+    [
+        *((name, radius, "auto") for name in COMPACT for radius in (1.5, 6.0)),
+        ("tps", 1, "direct"),
+        ("tps", 1, "krylov"),
+    ],
+)
+def test_slow_twin(name, radius, solver):
     problem = problem_of(frame(), body_specs(turning(25)))
     inside = inner_nodes(problem)
-    moved = moved_by(RBF(basis=name, radius=radius), problem)[inside]
+    moved = moved_by(RBF(basis=name, radius=radius, solver=solver, tolerance=1e-13), problem)[inside]
     expected = slow_rbf(name, radius, problem.source_points, told(problem), problem.grid.points[inside])
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-9)
 
@@ -92,58 +90,76 @@ def test_seams_and_poles_are_one_centre_each():
     np.testing.assert_allclose(moved[inside], expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", COMPACT)
+@pytest.mark.parametrize(
+    ("name", "updates"), [*((name, 50) for name in COMPACT), ("wendland-c2", 0), ("wendland-c0", 3)]
+)
 @pytest.mark.parametrize("measure", ["absolute", "first-cell"])
-def test_greedy_reduction_keeps_its_tolerance(name, measure):
-    """Errors at all boundary nodes, found by evaluating the reduced interpolation with the slow formulas."""
+def test_greedy_reduction_has_a_slow_twin(name, updates, measure):
+    """No two nodes have equal errors, whose order round-off would decide."""
     problem = problem_of(frame(3, 2), body_specs(turning(25)))
+    values = told(problem) * (1.0 + 0.2 * np.sin(problem.source_points @ [[2.0], [1.0], [1.5]]))
     options = RBF(basis=name, radius=6.0, greedy="hybrid", greedy_error=measure, greedy_tolerance=0.02,
-                  greedy_updates=50)  # fmt: skip
-    prepared = make_method(Options("rbf", rbf=options)).prepare(problem)
-    values = told(problem)
-    prepared.apply(values)
-    bound = prepared.mover.bound
-    fit = bound.fit(values)
-    settings = prepared.account.settings
-    kept = settings["greedy_points"].value
-    assert kept == len(fit.centres) < len(values)
+                  greedy_updates=updates)  # fmt: skip
+    bound = options.bind(problem, inner_nodes(problem))
+    fit, settings = bound.fit(values), bound.account.settings
     x = (problem.source_points - problem.source_points.mean(axis=0)) / 6.0
-    terms = bound.centres.polynomial(x)[:, : len(fit.polynomial)]
-    reduced = basis(name, distances(x, fit.centres), 1.0) @ fit.coefficients + terms @ fit.polynomial
-    lengths = 1.0 if measure == "absolute" else problem.first_cell_height[:, None]
-    error = (np.abs(reduced - values) / lengths).max()
-    assert error <= 0.02
-    np.testing.assert_allclose(settings["greedy_error_reached"].value, error, rtol=1e-6)
-    assert prepared.account.warnings == []
+    scale = np.ones((len(x), 1)) if measure == "absolute" else problem.first_cell_height[:, None]
+    chosen, error, rounds = slow_greedy(name, x, values, scale, 0.02, updates or len(x))
+    np.testing.assert_allclose(fit.centres, x[chosen], atol=1e-14)
+    np.testing.assert_allclose(fit.residual, error, atol=1e-9)
+    assert fit.reach == pytest.approx(20.0 * np.linalg.norm(error, axis=1).max())
+    unit = "length unit" if measure == "absolute" else "first-cell heights"
+    assert settings["greedy_points"] == Setting(len(chosen), f"of {len(x)} centres")
+    assert settings["greedy_rounds"].value == rounds
+    assert settings["greedy_updates_done"].value == rounds * (updates or len(x))
+    assert settings["greedy_tolerance"] == Setting(0.02, unit)
+    assert settings["greedy_error_reached"].value == pytest.approx(np.abs(error / scale).max())
+    assert bound.account.warnings == []
 
 
 @pytest.mark.parametrize("error", ["first-cell", "absolute"])
-def test_greedy_correction_lands_exactly_and_continuously(error):
-    """Nodes beside a wall are carried with the residual of the wall node, so that first cells keep their shape."""
+def test_greedy_correction_carries_nodes_with_what_is_left_at_the_nearest_source(error):
+    """It fades out with the distance, so that first cells keep their shape."""
     problem = problem_of(frame(3, 2), body_specs(turning(25)))
     options = RBF(basis="wendland-c2", radius=6.0, greedy="hybrid", greedy_error=error, greedy_tolerance=0.05)
-    moved = moved_by(options, problem)
+    moved, inside = moved_by(options, problem), inner_nodes(problem)
     np.testing.assert_array_equal(moved[problem.source_flat], told(problem))
     plain = moved_by(dataclasses.replace(options, greedy_correct=False), problem)
-    everything = moved_by(RBF(basis="wendland-c2", radius=6.0), problem)
-    inside = inner_nodes(problem)
-    scale = problem.first_cell_height.max() if error == "first-cell" else 1.0
-    change = np.abs(moved - plain)[inside].max()
-    assert 0 < change <= 0.05 * scale
-    assert np.abs(moved - everything)[inside].max() < 0.2 * scale
+    fit = options.bind(problem, inside).fit(told(problem))
+    away = distances(problem.grid.points[inside], problem.source_points)
+    r = np.minimum(away.min(axis=1) / fit.reach, 1.0)[:, None]
+    expected = (1.0 - r) ** 4 * (4.0 * r + 1.0) * fit.residual[away.argmin(axis=1)]
+    # But for a node that is equally far from two.
+    own = np.abs((moved - plain)[inside] - expected).max(axis=1) < 1e-14
+    assert own.sum() == len(inside) - 1
+    assert 0.0 < np.abs(expected).max() <= 0.05 * (problem.first_cell_height.max() if error == "first-cell" else 1.0)
+
+
+def test_first_cells_are_as_high_as_the_nearest_node_off_each_face():
+    """Of a sector whose axis is no face; there, faces beside it have no height, and in its middle edges are taken."""
+    r, a, z = np.meshgrid([0.0, 0.1, 0.4, 1.0], np.linspace(0.0, 1.0, 5), [0.0, 0.2, 1.0], indexing="ij")
+    x = np.stack([r * np.cos(a), r * np.sin(a), z], axis=-1)
+    problem = problem_of(Grid.from_blocks([x]), everything_moves())
+    lowest = np.full(len(problem.source_points), np.inf)
+    for axis, end in list(itertools.product(range(3), (0, -1)))[1:]:
+        wall, off = (np.take(x, n, axis).reshape(-1, 3) for n in (end, 1 if end == 0 else -2))
+        height = np.linalg.norm(off - wall, axis=1)
+        for at, own in zip(wall[height > 0], height[height > 0], strict=True):
+            same = (problem.source_points == at).all(axis=1)
+            lowest[same] = np.minimum(lowest[same], own)
+    np.testing.assert_allclose(problem.first_cell_height, np.where(np.isinf(lowest), 0.1, lowest))
+
+
+def test_sides_are_left_out_of_the_skeleton_if_all_of_them_slides():
+    lower = BoundarySpec("lower", ("*.kmin",), Kind.SLIP, expression("x < 1", {"x"}))
+    problem = problem_of(frame(), [lower, BoundarySpec("upper", ("*.kmax",), Kind.SYMMETRY)])
+    found = BlockRBF(RBF()).skeleton(problem).left_out
+    assert found == {(block, Side.KMAX) for block in range(8)} | {(block, Side.KMIN) for block in range(5)}
 
 
 def test_thin_plate_splines_cannot_be_reduced():
     with pytest.raises(MethodError, match=r"thin plate spline.*wendland-c2"):
         RBF(basis="tps", greedy="hybrid")
-
-
-@pytest.mark.parametrize("solver", ["direct", "krylov"])
-def test_what_does_not_fit_is_refused_with_alternatives(solver):
-    problem = problem_of(frame(3, 2), body_specs(turning(25)))
-    tight = dataclasses.replace(problem, memory=MemoryLimit(5000, "--max-memory allows"))
-    with pytest.raises(MethodError, match=r"\d+ centres needs about .*iB, --max-memory allows 4\.88 KiB; use "):
-        make_method(Options("rbf", rbf=RBF(solver=solver))).prepare(tight)
 
 
 def system(points: np.ndarray, basis: str, radius: float | None) -> tuple[KrylovSolver, Centres, int]:
@@ -210,9 +226,16 @@ def test_not_converging_is_a_warning():
     account = Account()
     centres = Centres.of(SETS["graded-plane"], 2.0)
     options = RBF(basis="wendland-c2", radius=2.0, solver="krylov", max_iterations=1, tolerance=1e-12)
-    RadialSystem(options, centres).solve(bend(centres.points), account, None)
-    assert "stopped after 1 iterations" in account.warnings[0]
-    assert "max_iterations" in account.warnings[0]
+    system = RadialSystem(options, centres)
+    system.solve(bend(centres.points), account, None)
+    (text,) = account.warnings
+    assert text.startswith("GMRES stopped after 1 iterations with a residual of ")
+    assert text.endswith(
+        " (asked for 1e-12); raise method.rbf.max_iterations, loosen tolerance, use a smaller radius or solver = direct"
+    )
+    # The next displacement takes the warning back.
+    system.solve(np.zeros_like(centres.points), account, None)
+    assert account.warnings == []
 
 
 def test_short_support_multiplies_by_its_nonzeros_only():
@@ -229,12 +252,17 @@ def test_short_support_multiplies_by_its_nonzeros_only():
 
 
 def test_automatic_choice_by_size_alone():
+    sizes = ("auto", 10**6, 2000), ("auto", 10**5, 2001), ("auto", 10**4, 2001), ("fast", 1, 1), ("fast", 0, 1)
+    assert [fast_pays(*each)[0] for each in sizes] == [False, True, False, True, False]
+    assert fast_pays("exact", 10**5, 2001)[1] == Setting("exact")
+    assert fast_pays("auto", 10**5, 2001)[1] == Setting("fast", "100,000 nodes with 2,001 sources")
     few, many = Centres.of(SETS["curve"], None), Centres.of(sphere(5000), None)
     assert RadialSystem(RBF(), few).solver == "direct"
     assert RadialSystem(RBF(), many).solver == "krylov"
     tight = MemoryLimit(40 * 2**20, "--max-memory allows")
     assert RadialSystem(RBF(), many, tight).solver == "krylov"
-    with pytest.raises(MethodError, match="solver = krylov"):
+    told = r"of 1,200 centres needs about 11 MiB, --max-memory allows 1000 B; use solver = krylov, greedy reduction"
+    with pytest.raises(MethodError, match=told):
         RadialSystem(RBF(), few, MemoryLimit(1000, "--max-memory allows"))
     with pytest.raises(MethodError, match="solver = krylov"):
         RadialSystem(RBF(solver="direct"), many, tight)

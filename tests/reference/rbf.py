@@ -38,12 +38,35 @@ def slow_rbf(
 ) -> np.ndarray:
     """Interpolation with a linear polynomial in the given coordinate directions, eqs. 11-13."""
     p = polynomial(centres, dimensions)
+    coefficients, linear = solution(basis(name, distances(centres, centres), radius), p, values)
+    return basis(name, distances(targets, centres), radius) @ coefficients + polynomial(targets, dimensions) @ linear
+
+
+def solution(matrix: np.ndarray, p: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
+    """Coefficients and polynomial for basis values between centres and the polynomial terms there."""
     n, q = p.shape
-    system = np.zeros((n + q, n + q))
-    system[:n, :n] = basis(name, distances(centres, centres), radius)
-    system[:n, n:], system[n:, :n] = p, p.T
-    solved = np.linalg.solve(system, np.concatenate([values, np.zeros((q, values.shape[1]))]))
-    return basis(name, distances(targets, centres), radius) @ solved[:n] + polynomial(targets, dimensions) @ solved[n:]
+    system = np.block([[matrix, p], [p.T, np.zeros((q, q))]])
+    return np.split(np.linalg.solve(system, np.concatenate([values, np.zeros((q, values.shape[1]))])), [n])
+
+
+def slow_greedy(
+    name: str, centres: np.ndarray, values: np.ndarray, scale: np.ndarray, tolerance: float, updates: int
+) -> tuple[list[int], np.ndarray, int]:
+    """Centres in the order in which rounds of so many updates choose them, for a radius of 1; errors that are left at
+    all of them, in units of ``scale`` (n, 1); number of rounds."""
+    matrix, terms = basis(name, distances(centres, centres), 1.0), polynomial(centres, (0, 1, 2))
+    chosen, error, rounds = list[int](), values, 0
+    while not rounds or np.abs(error / scale).max() > tolerance:
+        rest = error.copy()
+        for _ in range(updates):
+            worst = int(np.abs(rest / scale).max(axis=1).argmax()) if chosen else 0
+            chosen += [worst] * (worst not in chosen)
+            rest -= matrix[:, [worst]] * rest[worst]
+        # Four centres or fewer determine no linear polynomial.
+        p = terms if len(chosen) > 4 else terms[:, :1]
+        coefficients, linear = solution(matrix[np.ix_(chosen, chosen)], p[chosen], values[chosen])
+        error, rounds = values - matrix[:, chosen] @ coefficients - p @ linear, rounds + 1
+    return chosen, error, rounds
 
 
 def distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
