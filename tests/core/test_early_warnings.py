@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform
-from meshdeform_core.methods import CATALOGUE, IDW, RBF, Options, make_method
-from meshdeform_core.methods.limits import largest_rotation
+from meshdeform_core.methods import CATALOGUE, IDW, RBF, Options, limits, make_method
+from meshdeform_core.methods.base import Kinks
 from meshdeform_core.repair import RepairOptions
 from meshdeform_formats.case import read_case
 from meshdeform_samples import folder, load
@@ -52,18 +52,21 @@ def test_linear_part_of_the_motion_needs_no_radius():
     linear = 3.0 + problem.source_points @ np.array([[1.0, 2, 0], [0, 1, 0], [-1, 0, 1]])
     assert prepared.warnings_for(linear, linear) == []
     bent = linear + 2.0 * (problem.source_points > 0)
-    assert len(prepared.warnings_for(bent, bent)) == 1
+    terms = np.column_stack([np.ones(len(bent)), problem.source_points])
+    left = np.linalg.norm(bent - terms @ np.linalg.lstsq(terms, bent, rcond=None)[0], axis=1).max()
+    (text,) = prepared.warnings_for(bent, bent)
+    assert f"radius 0.5 is less than twice the largest displacement {left:.4g} of a step (linear part removed)" in text
     assert prepared.warnings_for(bent, bent / 10) == []
 
 
-@pytest.mark.slow
 def test_alpha_of_one_large_step():
     """By eq. 18 alone the plate at 30 degrees would have alpha 1.5, with which cells cross in eq. 16."""
     auto = Options("idw-tfi", idw=IDW(alpha="auto"))
-    warnings = deform(PLATE, plate_case(auto, 30)).warnings
-    assert len(warnings) == 1
-    assert "eq. 18 gives alpha = 1.47" in warnings[0]
-    assert "at least 5 steps" in warnings[0]
+    (text,) = deform(PLATE, plate_case(auto, 30)).warnings
+    assert text == (
+        "eq. 18 gives alpha = 1.47 for so large a step; values above 0.3 cross cells, so 0.3 is used. Take at least 5 "
+        "steps (--steps 5), or set method.idw.alpha"
+    )
     assert not deform(PLATE, plate_case(auto, 30), steps=5).warnings
     assert not deform(PLATE, plate_case(Options("idw-tfi", idw=IDW(alpha=1.47, a=3.0, transition=0)), 30)).valid
 
@@ -75,15 +78,69 @@ def test_alpha_of_one_large_step():
 def test_greedy_tolerance_coarser_than_the_first_cell(error, tolerance, comes):
     problem = problem_of(frame(), body_specs(turning(20)))
     options = RBF(basis="wendland-c2", radius=6.0, greedy="hybrid", greedy_error=error, greedy_tolerance=tolerance)
-    warnings = make_method(Options("rbf", rbf=options)).prepare(problem).account.warnings
-    assert [("coarser than the first cell" in text) for text in warnings] == [True] * comes
+    for correct, rest in ((True, "the correction moves them"), (False, "they miss their position")):
+        method = Options("rbf", rbf=dataclasses.replace(options, greedy_correct=correct))
+        warnings = make_method(method).prepare(problem).account.warnings
+        assert [("coarser than the first cell at 80 of 80" in text) for text in warnings] == [True] * comes
+        # In cells as much everywhere.
+        lowest = problem.first_cell_height.min()
+        end = f" moving nodes (up to 0.5, the cell is {lowest:.3g} high; {rest} by as much): wall cells may invert; "
+        assert all(end in text for text in warnings) or error == "first-cell"
+
+
+@pytest.mark.parametrize(
+    ("options", "largest", "what"),
+    [
+        (Options("tfi"), 55, "TFI crosses cells: use idw-tfi"),
+        (Options("idw"), 150, "the direction of rotation is ambiguous: take more steps (--steps auto)"),
+        (
+            Options("idw", idw=IDW(rotation="none")), 35,
+            'rotation = "none" shears the cells beside them: take more steps (--steps auto), or rotation = "lie"',
+        ),
+    ],
+)  # fmt: skip
+def test_what_turns_too_far_is_told(options, largest, what):
+    """Of TFI the whole motion counts, as steps do not help."""
+    problem = problem_of(frame(), body_specs(turning(largest - 1)))
+    method, small = make_method(options).prepare(problem), told(problem)
+    large = told(problem_of(frame(), body_specs(turning(largest + 2))))
+    assert method.warnings_for(small, small) == []
+    expected = [f"walls turn by up to {largest + 2} degrees; beyond about {largest}, {what}"]
+    whole = options.name == "tfi"
+    assert method.warnings_for(large, small) == expected * whole
+    assert method.warnings_for(small, large) == expected * (not whole)
+
+
+def test_the_motion_of_a_patch_is_that_of_its_nodes():
+    body, span = body_specs(turning(0))
+    lid = dataclasses.replace(body, name="lid", select=("block[358].jmax",), where=None)
+    problem = problem_of(frame(), [lid, body, span])
+    own = np.abs(problem.source_points[:, :2]).max(axis=1) < 0.51
+    moved = np.where(own[:, None], bend(problem.source_points), [9.0, 0.0, 0.0])
+    every = np.zeros((problem.topology.n_unique, 3))
+    every[problem.source_numbers] = moved
+    first, found = limits.patch_motions(problem, every)
+    turns, moved = problem.rotations.of(moved)[1][own], moved[own]
+    angles = np.linalg.norm(turns, axis=1)
+    assert first == limits.PatchMotion("lid", 9.0, (9.0, 0.0, 0.0), 0.0)
+    assert (found.boundary, found.max_displacement) == ("body", pytest.approx(np.linalg.norm(moved, axis=1).max()))
+    assert found.mean_displacement == pytest.approx(moved.mean(axis=0))
+    assert np.radians(found.max_rotation_deg) == pytest.approx(angles.max())
+    assert found.rotation_axis == pytest.approx(turns[angles.argmax()] / angles.max())
+
+
+def test_places_without_a_derivative_are_counted_once_each():
+    assert limits.tied(np.array([1.0, 2.0, 2.0, 2.0 + 1e-11]), np.array([0, 1, 1, 2])) == 2
+    assert limits.tied(np.array([1.0, 2.0, 2.0]), np.array([0, 1, 1])) == 0
+    assert limits.half_turns(np.pi * np.array([1.0, 1 - 1e-5, 1 + 1e-7, 1 - 1e-7]), np.array([0, 1, 2, 0])) == 2
+    assert limits.reason_of(Kinks({"{} of {}": 1234, "{} more": 1})) == "1,234 of {}; 1 more"
 
 
 def test_largest_rotation_is_relative():
     problem = problem_of(frame(), body_specs(turning(40)))
-    assert largest_rotation(problem, told(problem)) == pytest.approx(40.0)
+    assert limits.largest_rotation(problem, told(problem)) == pytest.approx(40.0)
     everything = problem_of(frame(), everything_moves(turning(180)))
-    assert largest_rotation(everything, told(everything)) < 1e-5
+    assert limits.largest_rotation(everything, told(everything)) < 1e-5
 
 
 def test_periodic_problems_warn_too():
