@@ -262,12 +262,3 @@ def test_where_there_is_no_derivative_is_named():
     shift = at.any(axis=1, keepdims=True) * [0.05, 0.02, 0.0]
     for name, kinks in (("idw-lie", {}), ("idw-alpha-none", {LARGEST: moving})):
         assert make_method(METHODS[name]).prepare(where).linearised(shift).kinks == kinks
-
-
-def test_coincident_block_nodes_add_their_gradients():
-    """A gradient of one at every block node: what a rigid translation gives."""
-    where = problem_of(frame(), everything_moves())
-    method = make_method(Options("idw-tfi")).prepare(where)
-    shift = np.tile([0.3, -0.2, 0.5], (len(where.source_points), 1))
-    gradient = method.linearised(np.zeros_like(shift)).pull(np.ones((where.grid.n_nodes, 3)))
-    assert (gradient * shift).sum() == pytest.approx(where.grid.n_nodes * 0.6, rel=1e-12)

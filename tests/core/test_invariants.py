@@ -5,7 +5,7 @@ import functools
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, FRAME_DEPENDENT, apply, body_specs, every, problem_of, turning
+from cases import ALL_METHODS, FRAME_DEPENDENT, STILL, apply, body_specs, every, problem_of, turning
 from grids import frame, frame_2d
 
 from meshdeform_core.boundary import BoundarySpec, Kind
@@ -173,3 +173,19 @@ def test_every_node_is_reached(name, which):
     prepared = make_method(ALL_METHODS[name]).prepare(problem)
     with sharing(scratch=Unset()):
         assert np.isfinite(prepared.apply(bend(problem.source_points))).all()
+
+
+@pytest.mark.parametrize("name", ["tfi", "idw-lie", "rbf-tfi"])
+def test_free_periodic_nodes_take_the_mean_of_their_images_and_are_sources_then(name):
+    bar, span = body_specs(turning(10))
+    told = problem_of(frame(), [bar, dataclasses.replace(span, kind=Kind.MOVING, motion=STILL)])
+    alone, pairs = (problem_of(frame(), body_specs(turning(10), kind)) for kind in (Kind.FREE, Kind.PERIODIC))
+    given = 0.1 * np.sin(pairs.source_points @ [[1.0, 2.0, 0.5], [0.3, 0.7, 1.0], [2.0, 0.5, 3.0]])
+    moved = apply(ALL_METHODS[name], alone, given)
+    for number in range(8):
+        block = alone.grid.block(number, moved)
+        block[:, :, [0, -1]] = block[:, :, [0, -1]].mean(axis=2, keepdims=True)
+    every = moved[told.source_flat]
+    every[np.isin(told.source_numbers, pairs.source_numbers)] = given
+    expected = apply(ALL_METHODS[name], told, every)
+    np.testing.assert_allclose(apply(ALL_METHODS[name], pairs, given), expected, rtol=0, atol=1e-12)

@@ -15,8 +15,6 @@ from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
-from meshdeform_core.numerics.cell.foldover.loops import Unknowns, add_derivatives, places_of_pairs
-from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions, energy, newton
 from meshdeform_core.repair.constraints import Constraints, find_extrusion
@@ -270,45 +268,6 @@ def test_options_are_checked(wrong):
         RepairOptions(**wrong)
 
 
-def density(a, eps, cubic):
-    """Energy of one triangle, written down from the paper, at Jacobian matrices (..., 2, 2)."""
-    det = np.linalg.det(a)
-    chi = (det + np.sqrt(eps**2 + det**2)) / 2
-    f = (a**2).sum(axis=(-1, -2)) / (2 * chi) + (det**2 + 1) / (2 * chi)
-    p = f - 2
-    return f + cubic * p**3 / (1 + p / 4)
-
-
-def hessian(function, a, h=1e-4):
-    """Second derivatives (4, 4) by central differences."""
-    q = h * np.eye(4).reshape(4, 2, 2)
-    p = q[:, None]
-    return (function(a + p + q) - function(a + p - q) - function(a - p + q) + function(a - p - q)) / (4 * h * h)
-
-
-@pytest.mark.parametrize(
-    ("eps", "cubic", "elastic"), [(1.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.3, 0.5, 0.0), (0.3, 0.5, 2.0)]
-)
-def test_plane_second_derivatives_are_those_of_differences_without_their_negative_part(eps, cubic, elastic):
-    random = np.random.default_rng(3)
-    for _ in range(20):
-        a = np.eye(2) + random.standard_normal((2, 2))
-        # One corner of a unit square, whose node is held: the unknowns, its neighbours, are the columns of A.
-        start = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
-        unknowns = Unknowns(np.array([-1, 1, 0, -1]), np.tile(np.eye(2), (4, 1, 1)), np.ones(4, dtype=bool))
-        matrix, gradient = np.zeros((4, 2, 2)), np.zeros((2, 2))
-        places = places_of_pairs(unknowns[0][[[0, 1, 2, 3]]], np.array([0, 2, 4]), np.array([0, 1, 0, 1], np.int32))
-        x = np.array([[0.0, 0.0], a[:, 1], a[:, 0], [1.0, 1.0]])
-        penalty, cell = tuple(Penalty(eps, 1.0, cubic, elastic)), np.array([[0, 1, 2, 3]])
-        given = cell, start, np.array([1]), sample_slopes(2), np.ones((1, 3)), x, penalty, np.array([0])
-        add_derivatives(x, *given, places, unknowns, (0, 2, 0), matrix, gradient)
-        matrix[2] = matrix[1].T
-        found = matrix.reshape(2, 2, 2, 2).transpose(2, 0, 3, 1).reshape(4, 4)
-        values, vectors = np.linalg.eigh(hessian(lambda b: density(b, eps, cubic), a))
-        expected = vectors * np.maximum(values + elastic, 0.0) @ vectors.T
-        np.testing.assert_allclose(found, expected, atol=2e-5 * max(1.0, abs(values).max()))
-
-
 def test_extruded_grids_are_repaired_as_plane_ones_whatever_their_indices():
     grid = frame(6, 3)
     ends = expression("z < 0.01 or z > 0.99", {"x", "y", "z"})
@@ -355,7 +314,7 @@ def test_what_differs_along_lines_is_dropped_where_it_would_make_cells_invalid(c
     assert repairer.repair(Judged(points, judge(setup.original, points))).repair.weak == 4 * 3
 
 
-def test_a_repair_is_bounded_and_undone_far_from_cells_that_stay_invalid():
+def test_a_repair_is_bounded_and_undone_far_from_cells_that_stay_invalid(monkeypatch):
     """A corner whose nodes are all prescribed stays inverted; a node near it is moved back."""
     grid = cube(41, 2)
     setup = fixed_setup(grid)
@@ -368,7 +327,15 @@ def test_a_repair_is_bounded_and_undone_far_from_cells_that_stay_invalid():
     assert not outcome.verdict.valid
     moved = np.linalg.norm(outcome.points - points, axis=1)
     assert 0.009 < moved.max() <= 0.01 * (1 + 1e-12)
-    assert not grid.block(0, moved)[22:, 22:].any()
+    # In full within 8 cells of those that are or were invalid, beyond 16 not at all.
+    with monkeypatch.context() as whole:
+        whole.setattr(Repairer, "_undone", lambda _, start, end: end)
+        _, entire = repaired(setup, points, farthest=0.01)
+    cells = np.union1d(verdict.invalid, outcome.verdict.invalid)
+    ends = np.array(np.divmod(cells, 40)).T[:, None] + [[0, 0], [0, 1], [1, 0], [1, 1]]
+    away = np.abs(np.indices((41, 41)).reshape(2, -1, 1) - ends.reshape(-1, 2).T[:, None]).max(axis=0).min(axis=1)
+    part = np.clip(2.0 - away / 8.0, 0.0, 1.0)[:, None]
+    np.testing.assert_allclose(outcome.points, points + part * (entire.points - points), atol=1e-15)
 
 
 def test_nodes_at_the_rim_of_a_region_are_held():
@@ -420,8 +387,19 @@ def test_a_grid_turned_about_its_middle_is_still_an_extrusion():
 def test_only_plane_motions_of_extruded_grids_are_taken_for_plane():
     grid = frame(5, 3)
     setup = set_up(grid, Case(tuple(body_specs(turning("20"), Kind.SLIP))))
-    extrusion = find_extrusion(Constraints.of(setup.original, setup.boundary))
+    constraints = Constraints.of(setup.original, setup.boundary)
+    extrusion = find_extrusion(constraints)
     assert extrusion is not None
+    # One node of a line differs from the others in what holds it: one of the body, one of an interface.
+    body, interface = np.flatnonzero(constraints.walls)[1], np.flatnonzero(~constraints.held)[1]
+    tilted = np.diag([0.0, 1.0, 1.0])
+    for name, node, value in (
+        ("held", body, False), ("held", interface, True), ("walls", body, False), ("walls", interface, True),
+        ("frame", interface, tilted), ("frame", body, tilted), ("root", interface, body),
+    ):  # fmt: skip
+        other = getattr(constraints, name).copy()
+        other[node] = value
+        assert find_extrusion(dataclasses.replace(constraints, **{name: other})) is None
     assert extrusion.plane.n_nodes * 4 == grid.n_nodes
     change = np.tile([0.1, 0.2, 0.0], (grid.n_nodes, 1))
     np.testing.assert_allclose(extrusion.flattened(change), np.tile([0.1, 0.2, 0.0], (extrusion.plane.n_nodes, 1)))
@@ -466,21 +444,6 @@ def test_nodes_slide_on_curved_surfaces_and_stay_on_them(dimension):
     assert distance.max() < 1e-12
     held = setup.topology.first[constraints.held]
     np.testing.assert_array_equal(outcome.points[held], points[held])
-
-
-def test_pinned_corners_do_not_end_an_improvement():
-    """The largest density of all may be that of a corner that nothing can improve; the others still improve."""
-    grid = cube(9, 2)
-    setup = fixed_setup(grid)
-    points = setup.grid.points.copy()
-    block = setup.grid.block(0, points)
-    block[0, 0] = 0.49 * (block[1, 0] + block[0, 1])
-    block[4, 4] += 0.97 * (block[5, 4] - block[4, 4])
-    before, outcome = repaired(setup, points)
-    assert before.valid
-    ratio = [verdict.ratio.reshape(8, 8)[2:, 2:].min() for verdict in (before, outcome.verdict)]
-    assert ratio[0] < 0.05
-    assert ratio[1] > 0.3
 
 
 def test_a_deep_fold_is_opened():

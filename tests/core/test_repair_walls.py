@@ -29,6 +29,8 @@ def test_first_cells_at_walls_weigh_most_and_less_where_walls_are_few_cells_apar
         first.append(weight[0] * near)
     np.testing.assert_allclose(first[2:], 400.0)
     assert first[0] < 10.0 < 50.0 < first[1] < 100.0
+    # Walls reach two fifths of the way to where they are farthest, but at least one cell and at most 32.
+    np.testing.assert_allclose([1.0 / nearness(np.zeros(1), far)[1] for far in (1, 10, 70, 90)], [1, 4, 28, 32])
     free, near = nearness(np.full(10, FARTHEST + 1), 0)
     np.testing.assert_array_equal(weigh(free[cells], near, start, cells), 1.0)
 

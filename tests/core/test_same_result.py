@@ -136,18 +136,6 @@ def test_threads_of_linear_algebra_change_no_bit_of_many_sources():
     assert told[0] == told[1]
 
 
-def test_sums_made_finer_for_one_displacement_are_not_for_the_next(monkeypatch):
-    """The first error allowed to a cluster is far too large here, so that every displacement takes several attempts."""
-    monkeypatch.setattr("meshdeform_core.methods.scattered.idw_sums.SHARE", 1e6)
-    where = problem("fast lie")
-    given = displacements(where)
-    fresh = [moved(METHODS["fast lie"], where, each) for each in given]
-    prepared = make_method(METHODS["fast lie"]).prepare(where)
-    for number in (0, 4, 0, 1, 5, 4):
-        np.testing.assert_array_equal(prepared.apply(given[number]), fresh[number])
-    assert len({plan.key[1] for plan in prepared.mover.bound.fast.plans}) == 2
-
-
 def mesh_of(options: Options) -> Mesh:
     """A hollow bar in a frame; two of its sides move, no cells lie between them."""
     left = BoundarySpec("left", ("block2.imax",), Kind.MOVING, None, constant(0, 0, 0))
