@@ -98,6 +98,7 @@ def test_as_much_of_the_motion_is_reached_as_the_component_that_fails_reaches():
     own = dict(whole.components)
     assert own["bar"].reached < own["ring"].reached == 1.0
     assert (whole.reached, whole.steps) == (own["bar"].reached, own["bar"].steps)
+    assert {cell.step for cell in own["bar"].assessment.invalid} == {whole.steps + 1}
 
 
 def both_move(bar, ring) -> tuple[BoundarySpec, ...]:

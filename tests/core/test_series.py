@@ -55,7 +55,7 @@ def test_from_the_reference_a_period_leads_back_to_the_start(options):
     assert np.abs(levels[1].result.grid.points - setup.grid.points).max() > 0.1
     assert [level.result.motion[0].max_rotation_deg for level in levels] == pytest.approx([0, 20, 0, 20, 0], abs=1e-6)
     np.testing.assert_allclose(levels[-1].result.grid.points, setup.grid.points, rtol=0, atol=1e-12)
-    assert all(level.velocity is None for level in levels)
+    assert all(level.velocity is None and level.smoothness.plain for level in levels)
 
 
 @pytest.mark.parametrize(("order", "exponent"), [("first", 1.0), ("second", 2.0)])
@@ -80,8 +80,9 @@ def test_second_order_begins_with_zero_and_first_order():
 
 
 def test_an_invalid_level_does_not_stop_the_series():
-    levels = levels_of(setup_of(turning("150*sin(pi*t)"), repair="off"), Schedule((0.0, 0.5, 1.0)))
+    levels = levels_of(setup_of(turning("150*sin(pi*t)"), repair="off"), Schedule((0.0, 0.5, 1.0), steps=2))
     assert [level.result.valid for level in levels] == [True, False, True]
+    assert not levels[-1].smoothness.plain
 
 
 @pytest.mark.parametrize("wrong", [{"times": ()}, {"times": (0.0, 0.0)}, {"times": (1.0, 0.5)}, {"velocity": "third"}])
@@ -123,9 +124,8 @@ def test_a_jump_of_the_grid_alone_is_told():
     points = [still, still + [[0.1, 0, 0], [0.1, 0, 0], [0.1, 0, 0]], still + [[0.2, 0, 0], [0.2, 0, 0], [0.9, 0, 0]]]
     moments = [Moment(float(t), x, False) for t, x in enumerate(points)]
     found = smoothness(moments, np.array([0]), np.full(3, 0.5))
-    assert found.velocity == pytest.approx(8.0)
-    assert found.acceleration == pytest.approx(7.0)
-    assert found.acceleration_in_edges == pytest.approx(0.7 / 0.5)
+    assert (found.velocity, found.acceleration, found.acceleration_in_edges) == pytest.approx((8.0, 7.0, 0.7 / 0.5))
+    assert (found.wall, found.reach) == pytest.approx((0.0, 1.0), abs=1e-12)
     assert "jumps" in found.warning
     mixed = [moment._replace(plain=moment.time > 0) for moment in moments]
     assert smoothness(mixed, np.array([0]), np.full(3, 0.5)).warning == found.warning

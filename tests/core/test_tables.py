@@ -6,14 +6,15 @@ import re
 import numpy as np
 import pytest
 from cases import body_specs
-from grids import frame, frame_2d
+from grids import block_around, frame, frame_2d
 from scipy.interpolate import RBFInterpolator
 
-from meshdeform_core.boundary import BoundarySpec, Kind, tables
+from meshdeform_core.boundary import Boundary, BoundarySpec, Kind, tables
 from meshdeform_core.boundary.motions.motion import Follow, Motion
 from meshdeform_core.boundary.tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, other_frame
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import MotionError
+from meshdeform_core.grid import Grid
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.numerics.geometry.local_spline import local_spline
@@ -35,11 +36,11 @@ def data(points: np.ndarray, displacement: np.ndarray | None = None) -> SurfaceD
     return SurfaceData(np.ascontiguousarray(points), moved, NO_TRIANGLES, "table.csv")
 
 
-def whole_table(table: SurfaceData, **matching) -> tuple[str, ...]:
-    """Warnings when the table says alone what moves, as -d does."""
+def whole_table(table: SurfaceData, grid: Grid = FRAME, **matching) -> Boundary:
+    """The boundary when the table says alone what moves, as -d does."""
     motion = Motion((Follow(table, Matching(partial=True, **matching)),), {})
     entries = (BoundarySpec("table.csv", ("*",), Kind.MOVING, None, motion), BoundarySpec("rest", ("*",), Kind.SLIP))
-    return set_up(FRAME, Case(entries)).boundary.notes
+    return set_up(grid, Case(entries)).boundary
 
 
 def on_body(table: SurfaceData, **matching) -> tuple[str, ...]:
@@ -49,7 +50,7 @@ def on_body(table: SurfaceData, **matching) -> tuple[str, ...]:
 
 
 def test_a_table_of_the_wall_gives_no_warning():
-    assert whole_table(data(bar())) == ()
+    assert whole_table(data(bar())).notes == ()
     for how in ("exact", "nearest", "interpolate"):
         assert on_body(data(bar()), how=how) == ()
 
@@ -67,9 +68,7 @@ def test_a_table_without_dz_on_a_3d_grid_is_a_warning():
     assert note.startswith("table.csv has two components of the displacement, the grid is three-dimensional")
     section = frame_2d()
     square = np.unique(section.points[np.abs(section.points[:, :2]).max(axis=1) < 0.51], axis=0)
-    follow = Motion((Follow(dataclasses.replace(data(square), plane=True), Matching(partial=True)),), {})
-    specs = (BoundarySpec("bar", ("*",), Kind.MOVING, None, follow), BoundarySpec("rest", ("*",), Kind.SLIP))
-    assert set_up(section, Case(specs)).boundary.notes == ()
+    assert whole_table(dataclasses.replace(data(square), plane=True), section).notes == ()
 
 
 @pytest.mark.parametrize("factor", [1000.0, 1e-3, 100.0, 0.3048, 25.4])
@@ -79,27 +78,19 @@ def test_other_length_units_are_refused(factor, match):
     # Only what could lie on the wall is matched at all; on its corner at the origin this table does.
     corner = np.array([2.0, 2.0, 0.0])
     shifted = dataclasses.replace(FRAME, points=FRAME.points + corner)
-    points = bar() + corner
-    motion = Motion((Follow(data(points / factor), Matching(match, partial=True)),), {})
     with pytest.raises(MotionError, match=r"multiplied by|sizes differ by a factor|no match"):
-        set_up(shifted, Case((BoundarySpec("t", ("*",), Kind.MOVING, None, motion),)))
+        whole_table(data((bar() + corner) / factor), shifted, how=match)
     with pytest.raises(MotionError, match=r"different length units"):
         on_body(table, how=match)
 
 
 def test_a_table_a_thousand_times_larger_is_refused_where_it_covers_the_wall():
     """A plate in m and its table in mm, both from the origin: every node lies on the table."""
-    plate = SurfaceData(
-        np.array([[x, y, 0.0] for x in (0, 500, 1000, 1500, 2000) for y in (0, 500, 1000, 1500, 2000)], dtype=float),
-        np.zeros((25, 3)) + [0.0, 0.0, 10.0],
-        NO_TRIANGLES,
-        "plate_mm.csv",
-    )
-    x = np.linspace(0, 2, 9)
-    block = np.stack(np.meshgrid(x, x, np.linspace(0, 1, 5), indexing="ij"), axis=-1)
-    grid = type(FRAME).from_blocks([block])
+    x = np.linspace(0.0, 2.0, 9)
+    grid = Grid.from_blocks([block_around(x, x, np.linspace(0, 1, 5))])
+    plate = data(block_around(1e3 * x[::2], 1e3 * x[::2], np.zeros(1)).reshape(-1, 3))
     motion = Motion((Follow(plate, Matching("interpolate", tolerance=1e4)),), {})
-    with pytest.raises(MotionError, match=r"plate_mm.csv: 24 of 25 table points.*multiplied by 0.001"):
+    with pytest.raises(MotionError, match=r"table.csv: 24 of 25 table points.*multiplied by 0.001"):
         set_up(grid, Case((BoundarySpec("plate", ("block1.kmin",), Kind.MOVING, None, motion),)))
 
 
@@ -123,16 +114,18 @@ def test_a_coarser_surface_is_refused():
 
 def test_half_of_the_wall_ends_abruptly():
     points, inside = bar(), bar()[:, 2] < 0.6
-    (note,) = whole_table(data(points[inside], ((1.0 + points[:, :1]) * SHIFT)[inside]))
+    boundary = whole_table(data(points[inside], ((1.0 + points[:, :1]) * SHIFT)[inside]))
+    np.testing.assert_array_equal(boundary.patches[0].nodes, np.sort(boundary.movers[0][0]))
+    (note,) = boundary.notes
     assert "abruptly at 28 faces of a smooth wall, where nodes that move by up to 0.0335 (at block7 (1, 2, 4))" in note
     fading = np.maximum(0.0, 0.5 - points[:, 2:]) * SHIFT
-    assert whole_table(data(points[inside], fading[inside])) == ()
+    assert whole_table(data(points[inside], fading[inside])).notes == ()
 
 
 def test_points_off_the_wall_are_counted():
     points = bar()
     away = np.array([[7.0, 7.0, 7.0], [8.0, 7.0, 7.0]])
-    (note,) = whole_table(data(np.concatenate([points, away])))
+    (note,) = whole_table(data(np.concatenate([points, away]))).notes
     assert f"2 of {len(points) + 2} table points lie on no face that the table moves, first (7, 7, 7)" in note
     with pytest.raises(MotionError, match="table points lie on no outside face"):
         whole_table(data(np.concatenate([points, np.arange(3.0 * 500).reshape(500, 3) + 50])))
@@ -236,13 +229,17 @@ def test_nothing_is_proposed_for_points_that_fit_nowhere():
     assert "would lie on the nodes" not in other_frame(points, NODES)
 
 
-def on_table_alone(data: SurfaceData, how: str = AUTOMATIC):
-    motion = Motion((Follow(data, Matching(how, partial=True)),), {})
-    return set_up(GRID, Case((BoundarySpec("table", ("*",), Kind.MOVING, None, motion),))).boundary
+@pytest.mark.parametrize(("tolerance", "how"), [(None, "interpolate"), (0.02, "nearest")])
+def test_a_table_beside_the_nodes_is_of_them_within_the_tolerance(tolerance, how):
+    (match,) = whole_table(data(bar() + [0.0, 0.0, 0.01]), how=AUTOMATIC, tolerance=tolerance).movers[0][1].matches
+    assert match.how == how
+    # Points that several nodes follow count once.
+    (match,) = whole_table(data(bar()[::3]), how="nearest", tolerance=0.5).movers[0][1].matches
+    assert match.used == (len(bar()[::3]),) * 2
 
 
 def test_a_table_alone_moves_the_wall_that_it_fits():
-    boundary = on_table_alone(TABLE)
+    boundary = whole_table(TABLE, GRID, how=AUTOMATIC)
     (match,) = boundary.movers[0][1].matches
     assert match.matching.walls == ("wing",)
     assert match.how == "interpolate"
@@ -250,8 +247,7 @@ def test_a_table_alone_moves_the_wall_that_it_fits():
 
 
 def test_a_table_of_the_nodes_is_matched_to_the_nodes():
-    data = SurfaceData(NODES.points, np.full_like(NODES.points, 0.01), np.empty((0, 3), dtype=np.int64), "nodes.csv")
-    (match,) = on_table_alone(data).movers[0][1].matches
+    (match,) = whole_table(data(NODES.points), GRID, how=AUTOMATIC).movers[0][1].matches
     assert match.how == "nearest"
     assert match.matched.sum() == len(NODES.numbers)
 
@@ -264,9 +260,8 @@ def test_nodes_of_collapsed_faces_are_matched_within_their_edges():
 def test_the_shift_of_a_table_of_a_part_of_the_wall_is_told():
     """The middle of the part is not that of the wall, and the far field is among the faces that it may lie on."""
     part = NODES.points[NODES.points[:, 1] > 0.6] + [7.0, -30.0, 2.0]
-    data = SurfaceData(part, 0.01 + 0.0 * part, np.empty((0, 3), dtype=np.int64), "part.csv")
     with pytest.raises(MotionError, match=r"shifted by \(-7, 30, -2\), 100% of its points would lie on the nodes"):
-        on_table_alone(data)
+        whole_table(data(part), GRID, how=AUTOMATIC)
 
 
 def test_a_coarse_table_moves_all_sides_of_the_wall():
@@ -275,13 +270,9 @@ def test_a_coarse_table_moves_all_sides_of_the_wall():
     points = np.array([(x, y, z) for z in (0.0, 1.0) for x, y in ring])
     quads = np.array([(n, (n + 1) % 4, (n + 1) % 4 + 4, n + 4) for n in range(4)])
     halves = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    data = SurfaceData(points, 0.01 + 0.0 * points, halves, "coarse.csv")
     grid = frame(2, 2)
-    motion = Motion((Follow(data, Matching("interpolate", partial=True)),), {})
-    case = Case((BoundarySpec("table", ("*",), Kind.MOVING, None, motion), BoundarySpec("rest", ("*",), Kind.SLIP)))
-    setup = set_up(grid, case)
-    nodes = setup.boundary.movers[0][0]
-    body = np.abs(grid.points[setup.topology.first][:, :2]).max(axis=1) < 0.51
+    nodes = whole_table(SurfaceData(points, 0.01 + 0.0 * points, halves, "t.csv"), grid, how="interpolate").movers[0][0]
+    body = np.abs(grid.points[find_topology(grid).first][:, :2]).max(axis=1) < 0.51
     assert set(nodes) >= set(np.flatnonzero(body))
 
 
