@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 from cases import apply, body_specs, constant, formulas, problem_of, turning
-from grids import frame, frame_2d, permuted, polar
+from grids import block_around, frame, frame_2d, permuted, polar
 
 from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind
 from meshdeform_core.boundary.classification import (
@@ -15,6 +15,7 @@ from meshdeform_core.boundary.classification import (
     prescribed_displacement,
     with_plates,
 )
+from meshdeform_core.boundary.constraints import CurvedSurface, triangles_of
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Follow, Motion
 from meshdeform_core.boundary.tables import Matching, SurfaceData
@@ -146,9 +147,10 @@ def test_plates_of_the_case_are_opened():
     grid, opened = with_plates(FRAME, topology, ["block1.imax[1:3,*]"])
     assert [(patch.name, len(patch.windows)) for patch in grid.patches] == [("plate1", 2)]
     np.testing.assert_array_equal(find_topology(grid).partner, opened.partner)
-    # Faces of a patch of the file are no second one.
-    (_, second) = with_plates(grid, topology, ["block1.imax"])[0].patches
-    assert (second.name, sum(w.high[0] - w.low[0] for w in second.windows)) == ("plate2", 2 * 2)
+    # Faces of a patch of the file, or of a plate before, are no second one.
+    for known, patterns in ((grid, ["block1.imax"]), (FRAME, ["block1.imax[1:3,*]", "block1.imax"])):
+        (_, second) = with_plates(known, topology, patterns)[0].patches
+        assert (second.name, sum(w.high[0] - w.low[0] for w in second.windows)) == ("plate2", 2 * 2)
     newly = np.flatnonzero(opened.external & ~topology.external)
     assert len(newly) == 2 * 2 * 3
     assert set(topology.quads.block_side[newly] // 6) == {0, 3}
@@ -215,6 +217,7 @@ def test_creases_of_slip_surfaces_are_named_at_moving_walls_and_held_in_repairs(
     grid, specs = box_with_curved_sides(lambda x: np.tan(np.deg2rad(fold / 2)) * np.abs(x - 0.5))
     # The other two sides are curved, too; nodes where two of them meet are held.
     setup = set_up(grid.moved(grid.points + [0.1, 0.0, 0.0] * np.sin(3 * grid.points[:, 2:])), Case(tuple(specs)))
+    assert all((each.rim == (each.points[:, 2] == 0.0)).all() for each in setup.boundary.slip.curved)
     assert len(setup.boundary.notes) == (fold > 40)
     for crease in setup.boundary.notes:
         assert "'sides' has creases of more than 30 degrees" in crease
@@ -224,12 +227,27 @@ def test_creases_of_slip_surfaces_are_named_at_moving_walls_and_held_in_repairs(
     assert (held == [True, False, fold > 40, False]).all()
 
 
+def test_creases_are_where_a_triangle_deviates_from_the_mean_by_more_than_30_degrees():
+    points = block_around(np.arange(8.0), np.arange(8.0), np.zeros(1)).reshape(-1, 3)
+    points[:, 2] = np.random.default_rng(0).uniform(0.0, 0.8, 64)
+    points[17] = points[18]
+    numbers = np.arange(64)
+    corners = numbers.reshape(8, 8)[:-1, :-1].reshape(-1, 1) + [0, 8, 9, 1]
+    surface = CurvedSurface("s", numbers, numbers, points, triangles_of(corners), numbers < 0, np.zeros(3))
+    for at, creased in enumerate(surface.creased):
+        around = [np.cross(b - a, c - a) for a, b, c in points[[n for n in surface.triangles if at in n]]]
+        cosines = [normal @ sum(around) / np.linalg.norm(normal) for normal in around if normal.any()]
+        assert creased == (min(cosines) <= np.sqrt(0.75) * np.linalg.norm(sum(around)))
+    assert 10 < surface.creased.sum() < 54
+
+
 def test_fixed_faces_torn_at_a_moving_edge_are_named():
     grid, specs = box_with_curved_sides(lambda x: 0.0 * x)
     specs[3] = dataclasses.replace(specs[3], kind=Kind.FIXED)
+    specs[0] = dataclasses.replace(specs[0], motion=formulas("0", "0", "-0.2*(1+x)"))
     torn = next(text for text in deform(grid, Case(tuple(specs))).warnings if "torn" in text)
     assert "fixed boundary 'sides'" in torn
-    assert "by up to 0.3 where its faces are 0.1 long" in torn
+    assert "by up to 0.4 where its faces are 0.1 long, near (1, 0, 0.1); let" in torn
     vanishing = formulas("0", "0", "-0.3*sin(pi*y)**2")
     specs[0] = dataclasses.replace(specs[0], motion=vanishing)
     assert not [text for text in deform(grid, Case(tuple(specs))).warnings if "torn" in text]
@@ -301,15 +319,18 @@ def test_periodic_sector_moves_alike_by_rotation(casing):
         problem_of(grid, [*specs[:2], *specs_of(("pitch", ("block1.imin", "block1.kmax"), Kind.PERIODIC, None))])
 
 
-def test_images_found_through_two_periodicities_are_turned():
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("order", [1, -1])
+def test_images_found_through_two_periodicities_are_turned(order, axis):
     """Where pitch and span meet, from the root first along the span, then around the axis."""
     grid, specs = sector()
+    grid = grid.moved(np.roll(grid.points, axis - 2, axis=1))
     both = specs_of(
-        ("pitch", ("block1.imin", "block1.imax"), Kind.PERIODIC, None),
+        ("pitch", ("block1.imin", "block1.imax")[::order], Kind.PERIODIC, None),
         ("span", ("block1.kmax", "block1.kmin"), Kind.PERIODIC, None),
     )
-    problem = problem_of(grid, [*specs[:2], *both])
-    x, periodic = grid.points[problem.topology.first] * [1.0, 1.0, 0.0], problem.boundary.periodic
+    problem = problem_of(grid, [*specs[:2], *both[::order]])
+    x, periodic = grid.points[problem.topology.first] * (np.arange(3) != axis), problem.boundary.periodic
     assert len(np.unique(periodic.root)) == 5 * (6 + 3 - 1)
     np.testing.assert_allclose(x[periodic.nodes], np.einsum("nij,nj->ni", periodic.turn, x[periodic.root]), atol=1e-14)
 
@@ -336,10 +357,14 @@ def test_gradients_of_given_nodes_are_the_transpose_of_their_displacements(sides
     moved, found = given_displacement(*where, nodes, change[nodes]), given_gradient(*where[::2], nodes, gradient)
     assert (found * change[nodes]).sum() == pytest.approx((gradient * moved).sum(), rel=1e-12)
     given_displacement(*where, nodes, found)
+    plane, nodes = problem_of(frame_2d()), np.arange(9)[::-1]
+    np.testing.assert_array_equal(
+        given_gradient(plane.grid, plane.boundary, nodes, gradient), gradient[nodes] * [1, 1, 0]
+    )
 
 
 def test_a_declared_rotation_turns_the_displacement():
-    """One pattern for both sides: only the file says which node belongs to which."""
+    """One pattern for both sides: only the file says which node belongs to which, of all of them."""
     grid, specs = sector()
     ni, nj, nk = grid.shapes[0]
     turned = Connection(
@@ -351,6 +376,10 @@ def test_a_declared_rotation_turns_the_displacement():
     moved = grid.block(0, apply(Options("idw"), problem, prescribed_at(problem)))
     np.testing.assert_allclose(moved[-1], moved[0] @ PITCH.T, atol=1e-14)
     assert np.abs(moved[0, 1:-1]).max() > 1e-3
+    half = dataclasses.replace(turned, end=(0, 2, nk - 1), donor_end=(ni - 1, 2, nk - 1))
+    for known, select in ((turned, "block1.imin"), (half, "block1.i*")):
+        with pytest.raises(CaseError, match="is periodic but has 1 select patterns"):
+            problem_of(dataclasses.replace(grid, connections=(known,)), specs_of(("p", select, Kind.PERIODIC, None)))
 
 
 def test_motion_steps_act_in_order_on_undeformed_formulas():
@@ -448,7 +477,31 @@ def test_deformed_grids_as_displacement():
         problem_of(FRAME, following(wrong))
 
 
-def test_a_curved_symmetry_is_named_with_its_distance_from_a_plane():
-    message = r"'wall' is a symmetry but not plane: block1\.jmin lies up to [\d.]+ off its mean plane, at \("
+@pytest.mark.parametrize("layers", [1, 3])
+def test_a_curved_symmetry_is_named_with_its_distance_from_a_plane(layers):
+    line = np.linspace(0.0, 1.0, 3)
+    block = block_around(line, line, line[:layers])
+    block[1, 0, :, 1] = 0.03
+    message = (
+        r"'wall' is a symmetry but not plane: block1\.jmin lies up to 0.02 off its mean plane, at \(0.5, 0.03, 0\);"
+    )
     with pytest.raises(CaseError, match=message):
-        set_up(polar(16, 4, 2), Case((BoundarySpec("wall", ("*.jmin",), Kind.SYMMETRY),)))
+        problem_of(Grid.from_blocks([block]), specs_of(("wall", "*.jmin", Kind.SYMMETRY, None)))
+
+
+@pytest.mark.parametrize(("bend", "remedy"), [(0.0, "they are flat: symmetry"), (0.1, 'give them a kind: "slip" lets')])
+@pytest.mark.parametrize("entries", [(0,), (0, 2), (1,), (1, 2)])
+def test_faces_that_nothing_selects_beside_moving_nodes_come_with_a_remedy(entries, bend, remedy):
+    """Two end planes, one of them plane or both; the motion of the hub is a table where its number is 1."""
+    grid = polar(12, 3, 2)
+    x = grid.points
+    grid = grid.moved(x + bend * np.outer(np.sin(x[:, 0]) * (x[:, 2] == 1.0), [0, 0, 1]))
+    hub = grid.points[np.hypot(*x[:, :2].T) < 1.01]
+    follow = Motion((Follow(table(hub, 0.0 * hub + 0.1), Matching("exact", partial=True)),), {})
+    specs = specs_of(("hub", "block1.jmin", Kind.MOVING, MOVE), ("table", "*", Kind.MOVING, follow),
+                     ("casing", "block1.jmax", Kind.FIXED, None))  # fmt: skip
+    *others, note = problem_of(grid, [specs[n] for n in entries]).boundary.notes
+    places = "block1.kmin, block1.kmax"
+    assert note.startswith(f"faces that no boundary entry selects touch moving nodes but are fixed: {places}; {remedy}")
+    assert note.endswith("`meshdeform init --table` writes one") == (entries == (1,))
+    assert len(others) == (entries != (1,))

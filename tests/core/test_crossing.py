@@ -5,7 +5,7 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from cases import INNER, constant, everything_moves, formulas, problem_of, turning
+from cases import INNER, STILL, constant, everything_moves, formulas, problem_of, turning
 from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
@@ -80,9 +80,13 @@ def volume(a, b, c, d):
     return sum(u[i] * (v[(i + 1) % 3] * w[(i + 2) % 3] - v[(i + 2) % 3] * w[(i + 1) % 3]) for i in range(3))
 
 
-def found_to_cross(one, two):
+def crossing_places(one, two):
     points, faces = np.concatenate([one, two]), np.arange(8, dtype=np.int32).reshape(2, 4)
-    return len(crossing_faces(points, faces, np.zeros(2, np.int8), np.ones(2, bool))[0]) > 0
+    return crossing_faces(points, faces, np.zeros(2, np.int8), np.ones(2, bool))[1]
+
+
+def found_to_cross(one, two):
+    return len(crossing_places(one, two)) > 0
 
 
 @pytest.mark.parametrize("lattice", [0, 3])
@@ -180,6 +184,39 @@ def test_a_wall_that_folds_onto_itself():
     fold = formulas("where(x > 1, -1.6*(x - 1), 0)", "0", "where(x > 1, 0.8*sin(pi*(x - 1)), 0) - 0.7*(x > 1.7)")
     setup = set_up(channel(20), Case((moving("floor", "*.kmin", fold), SIDES)))
     assert [crossing.patches for crossing in crossings(setup)][:1] == [("floor", "floor")]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_crossings_are_those_of_all_pairs_of_faces_by_their_strongest_patches(order):
+    """A side of a hollow bar bulges through the other one and drags along the fixed faces beside it."""
+    left = moving("left", "block2.imax", formulas("1.1 + 1.6 * (1 - 4*y*y) * z**2", "-0.1", "0.04 + 0.1*y"))
+    right, sides = moving("right", "block7.imin", STILL), BoundarySpec("sides", ("*.i*", "*.j*"), Kind.FIXED)
+    entries = left, right, BoundarySpec("ends", ("*.k*",), Kind.FREE), sides
+    setup = set_up(frame(), Case(entries[::order]))
+    corners, displacement = setup.topology.quads.corners, setup.displacement(0.0)
+    x, names, places = setup.grid.points[setup.topology.first] + displacement, dict[int, str](), {}
+    for patch in sorted(setup.boundary.patches, key=lambda patch: patch.kind)[1:]:
+        names |= dict.fromkeys(patch.quads.tolist(), patch.name)
+    names |= {quad: "left" for quad in names if displacement[corners[quad]].any()}
+    for pair in combinations(sorted(names), 2):
+        patches, faces = tuple(sorted(names[quad] for quad in pair)), corners[list(pair)]
+        if "left" in patches and not set(faces[0]) & set(faces[1]) and cross_exactly(*x[faces]):
+            places.setdefault(patches, []).append(crossing_places(*x[faces])[0])
+    found = crossings(setup)
+    counts = [(patches, len(at)) for patches, at in places.items()]
+    assert [(each.patches, each.count) for each in found] == sorted(counts, key=lambda each: -each[1])
+    assert len(found) > 1
+    for each in found:
+        at = np.array(places[each.patches])
+        middle = np.argmin(np.linalg.norm(at - at.mean(axis=0), axis=1))
+        np.testing.assert_allclose(each.point, at[middle], atol=1e-5)
+
+
+def test_a_block_that_moves_within_another_does_not_lie_outside():
+    line = np.linspace(-1.0, 1.0, 5)
+    grid = Grid.from_blocks([block_around(*[size * line] * 3) for size in (4.0, 1.0)])
+    setup = set_up(grid, Case((moving("inner", "block2.*", constant(0.5, 0, 0)),), open_faces=True))
+    assert setup.undeformed.contact(lambda part: setup.displacement(0.0, part)) is None
 
 
 def test_plate_without_thickness_does_not_cross_itself():

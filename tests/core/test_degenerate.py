@@ -95,8 +95,12 @@ def pair(left, right):
          "the selection spans x -2 to -2, y -2 to -0.5, z 0 to 1)"),
         (lambda: problem_of(FRAME, [BoundarySpec("pitch", ("block1.imin",), Kind.PERIODIC), *BAR]),
          "boundary 'pitch' is periodic but has 1 select patterns, and the file declares no periodic connection"),
-        (lambda: [deform(Grid.from_blocks([CUBE]), pair("0.01", z)) for z in ("0.01", "0.02*y")],
-         "two periodic images of a node move differently: (0, 0, 0.01) where the other would give it (0, 0, 0); give"),
+        (lambda: [deform(Grid.from_blocks([CUBE]), pair("0.01", z)) for z in ("0.01", "0.01 + 0.02*y")],
+         "two periodic images of a node move differently: (0, 0, 0.01) where the other would give it (0, 0, 0.02); gi"),
+        (lambda: deform(FRAME, Case(tuple(BoundarySpec(face, (face,), Kind.MOVING, None, formulas(x, "0", "0"))
+                                          for face, x in (("block2.imax", "0.1"), ("block4.jmax", "0.1 + z"))))),
+         "moving patches 'block2.imax' and 'block4.jmax' disagree at their shared node block1 (5, 5, 4): displacements "
+         "(0.1, 0, 0) and (1.1, 0, 0); give both patches the same motion there, or select these nodes in one of them"),
         (lambda: with_bar(formulas("0.1", "log(x)", "0")), "motion step 1 gives the displacement (0.1, nan, 0) at node "
          "block1 (5, 5, 1) = (-0.5, -0.5, 0), t = 0 (40 of 80 nodes); expected finite numbers up to 1e+30"),
         (lambda: with_bar(TWO, time=1.5), "no level at t = 1.5; it has 2 levels from 0 to 2, the nearest at 2. Choose"),

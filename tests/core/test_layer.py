@@ -88,8 +88,12 @@ def test_other_motions_are_those_of_both_planes():
 
 
 def test_planes_that_are_no_images_and_thicker_grids_are_no_layer():
-    for grid in (polar(24, 6, 2), ring().moved(ring().points * np.where(ring().points[:, 2:] > 0, [1.1, 1, 1], 1.0))):
-        setup = set_up(grid, Case(in_ring(constant(0.1, 0.0, 0.0))))
+    x, specs = ring().points, in_ring(constant(0.1, 0.0, 0.0))
+    moved = (x * np.where(x[:, 2:] > 0, [1.1, 1, 1], 1.0), x + [0.0, 0.0, 0.1] * x[:, :1])
+    other = (*specs, BoundarySpec("front", ("block1.kmin",), Kind.FREE))
+    no_layers = [(polar(24, 6, 2), specs), *((ring().moved(each), specs) for each in moved), (ring(), other)]
+    for grid, entries in no_layers:
+        setup = set_up(grid, Case(entries))
         assert find_layer(setup.grid, setup.topology, setup.boundary.kind, setup.boundary.known) is None
 
 
