@@ -452,8 +452,9 @@ def test_unmatched_nodes_are_an_error_with_a_reason():
         problem_of(FRAME, following(table(points[1:], points[1:]), how="exact"))
     with pytest.raises(CaseError, match="unknown; known are exact"):
         Matching("closest")
-    with pytest.raises(CaseError, match="positive length"):
-        Matching("exact", -1.0)
+    for wrong in (-1.0, 0.0, np.inf):
+        with pytest.raises(CaseError, match="positive length"):
+            Matching("exact", wrong)
 
 
 def test_deformed_grids_as_displacement():
@@ -469,7 +470,7 @@ def test_deformed_grids_as_displacement():
     problem = problem_of(FRAME, following(surface))
     again = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
     np.testing.assert_array_equal(again[nodes], told[nodes])
-    between = Grid.from_blocks([0.5 * (target.block(1)[-1] + target.block(6)[0])[:, :, None]])
+    between = Grid.from_blocks([(0.6 * target.block(1)[-1] + 0.4 * target.block(6)[0])[:, :, None]])
     with pytest.raises(MotionError, match=r"could be any of the faces block2\.imax, block7\.imin"):
         problem_of(FRAME, following(between))
     wrong = Grid.from_blocks([np.zeros((9, 9, 1, 3)) + np.arange(9)[:, None, None, None]])

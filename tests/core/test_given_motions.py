@@ -374,7 +374,7 @@ def test_positions_by_number(tmp_path):
 BAD_TABLES = [
     *(("beam", text, message) for text, message in BAD_BEAMS.items()),
     ("positions", "0 0 0 0\n", "no position for"),
-    ("positions", "99999 0 0 0\n", "1 numbers are not of points on block faces, the first 99999"),
+    ("positions", "0 0 0 0\n-1 0 0 0\n99999 0 0 0\n", "2 numbers are not of points on block faces, the first -1; th"),
 ]
 
 

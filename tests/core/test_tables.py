@@ -6,10 +6,11 @@ import re
 import numpy as np
 import pytest
 from cases import body_specs
-from grids import block_around, frame, frame_2d
+from grids import block_around, frame, frame_2d, with_walls
 from scipy.interpolate import RBFInterpolator
 
 from meshdeform_core.boundary import Boundary, BoundarySpec, Kind, tables
+from meshdeform_core.boundary.fitting import fit_table
 from meshdeform_core.boundary.motions.motion import Follow, Motion
 from meshdeform_core.boundary.tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, other_frame
 from meshdeform_core.deform import Case, set_up
@@ -18,6 +19,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.numerics.geometry.local_spline import local_spline
+from meshdeform_core.wording import vector
 from meshdeform_samples import generate
 
 FRAME = frame(cells=6, layers=6)
@@ -60,6 +62,8 @@ def test_points_farther_than_any_length_are_refused(far):
     """Squares of distances overflow: the nearest node has no number."""
     with pytest.raises(MotionError, match=r"table.csv has coordinates of 1e\+.* expected lengths below 1e\+100"):
         data(np.concatenate([bar(), [[far, 0.0, 0.0]]]))
+    with pytest.raises(MotionError, match=r"table.csv has displacements of 1e\+.* expected lengths below 1e\+100"):
+        data(bar(), far * bar())
 
 
 def test_a_table_without_dz_on_a_3d_grid_is_a_warning():
@@ -99,9 +103,13 @@ def test_two_displacements_at_practically_one_place_are_refused(how, gap):
     points = bar()
     twice = np.concatenate([points, points[5:6] + gap])
     moved = np.tile(SHIFT, (len(twice), 1))
+    moved[-1] += max(gap, 1e-8)
     assert on_body(data(twice, moved), how=how) == ()
-    moved[-1] *= 2
-    with pytest.raises(MotionError, match="expected one displacement at one place"):
+    moved[-1] = 2 * SHIFT
+    places = f"table.csv has the points {vector(points[5])} and {vector(twice[-1])}, {np.sqrt(3) * gap:.2g} apart, with"
+    count = "1 such point" if how == "nearest" else "2 such points"
+    moves = f"the displacements (0.02, 0.01, 0) and (0.04, 0.02, 0) ({count}); expected one displacement at one place"
+    with pytest.raises(MotionError, match=re.escape(f"{places} {moves}")):
         on_body(data(twice, moved), how=how)
 
 
@@ -120,6 +128,17 @@ def test_half_of_the_wall_ends_abruptly():
     assert "abruptly at 28 faces of a smooth wall, where nodes that move by up to 0.0335 (at block7 (1, 2, 4))" in note
     fading = np.maximum(0.0, 0.5 - points[:, 2:]) * SHIFT
     assert whole_table(data(points[inside], fading[inside])).notes == ()
+
+
+def test_the_farthest_of_the_nodes_without_a_match_is_named():
+    """Matched are nodes within a tenth of the diagonal of the table, which is shorter than that of the wall."""
+    message = (
+        "table.csv: 84 of 196 selected nodes have no match (interpolate); the farthest is block1 (7, 7, 7) = (-0.5, "
+        "-0.5, 1), 0.5 away. The table spans [-0.5, 0.5] x [-0.5, 0.5] x [0, 0.5], the nodes [-0.5, 0.5] x [-0.5, 0.5] "
+        "x [0, 1]. Set a larger tolerance, or a selection that the table covers"
+    )
+    with pytest.raises(MotionError, match=f"^{re.escape(message)}$"):
+        on_body(data(bar()[bar()[:, 2] < 0.6]), how="interpolate")
 
 
 def test_points_off_the_wall_are_counted():
@@ -207,26 +226,26 @@ GRID, TABLES = generate("wing", 8)
 TOPOLOGY = find_topology(GRID)
 NODES = BoundaryNodes.of_quads(GRID, TOPOLOGY, select_quads(GRID, TOPOLOGY, ["wing"], "wing"))
 TABLE = TABLES["structure.npz"]
-# An asymmetric part of the structural model, so that no two frames fit alike.
-POINTS = TABLE.points[TABLE.points[:, 2] > 0.005]
 
-FRAMES = {
-    "shifted": (POINTS + [5.0, -3.0, 2.0], "shifted by .*another origin"),
-    "millimetres": (POINTS * 1e3, r"multiplied by 0.001, 100% .*in millimetres where the grid is in metres"),
-    "inches": (POINTS / 0.0254, r"multiplied by 0.0254, 100% .*in inches where the grid is in metres"),
-}
+UNITS = {"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2, "micrometres": 1e-6, "inches": 0.0254, "feet": 0.3048}
+MISTAKES = [*((unit, "metres") for unit in [*UNITS][1:]), *(("metres", unit) for unit in [*UNITS][1:-1])]
 
 
-@pytest.mark.parametrize("name", FRAMES)
-def test_the_frame_that_fits_is_named(name):
-    points, message = FRAMES[name]
-    hint = other_frame(points, NODES)
-    assert re.search(message, hint), hint
+@pytest.mark.parametrize(("own", "of_grid"), [*MISTAKES, ("inches", "millimetres"), ("millimetres", "inches")])
+def test_the_units_that_fit_are_named(own, of_grid):
+    factor, told = UNITS[own] / UNITS[of_grid], f"different length units, in {own} where the grid is in {of_grid}"
+    message = f" (multiplied by {factor:.6g}, 100% of its points would lie on the nodes: {told}?)"
+    assert other_frame(NODES.points / factor, NODES) == message
 
 
 def test_nothing_is_proposed_for_points_that_fit_nowhere():
     points = np.random.default_rng(1).uniform(-1.0, 1.0, (200, 3))
-    assert "would lie on the nodes" not in other_frame(points, NODES)
+    sizes = [np.linalg.norm(np.ptp(x, axis=0)) for x in (points, NODES.points)]
+    for factor, hint in ((1.0, ""), (80.0, "sizes differ"), (1 / 80.0, "sizes differ")):
+        ratio = max(factor * sizes[0] / sizes[1], sizes[1] / sizes[0] / factor)
+        expected = f" (sizes differ by a factor {ratio:.3g}: different length units?)" if hint else ""
+        assert other_frame(factor * points, NODES) == expected
+    assert other_frame(NODES.points, NODES) == ""
 
 
 @pytest.mark.parametrize(("tolerance", "how"), [(None, "interpolate"), (0.02, "nearest")])
@@ -250,6 +269,55 @@ def test_a_table_of_the_nodes_is_matched_to_the_nodes():
     (match,) = whole_table(data(NODES.points), GRID, how=AUTOMATIC).movers[0][1].matches
     assert match.how == "nearest"
     assert match.matched.sum() == len(NODES.numbers)
+
+
+@pytest.mark.parametrize(
+    ("parts", "found"),
+    [
+        (["body"], "body"), (["body", "span"], "body"), (["body", "outer"], "body"), (["outer", "span"], "outer span"),
+        (["outer"], "table.csv: its points lie on 'outer' (far) (multiplied by 0.3"),
+        (["*.kmin"], "table.csv: its points lie on 'span' (symmetry); expected"),
+    ],
+)  # fmt: skip
+def test_a_table_moves_walls_rather_than_other_faces(parts, found):
+    """As the file declares them; never a symmetry alone."""
+    grid = with_walls(FRAME)
+    topology = find_topology(grid)
+    points = BoundaryNodes.of_quads(grid, topology, select_quads(grid, topology, parts, "")).points
+    try:
+        names = " ".join(each.name for each in fit_table(grid, topology, data(points), Matching(partial=True)).surfaces)
+    except MotionError as error:
+        names = str(error)
+    assert names.startswith(found)
+
+
+@pytest.mark.parametrize("thick", [1, 2])
+def test_columns_without_names_are_numbers_and_positions_where_they_can_be(thick):
+    """In a plane, and in space where there are many, most of which are not the coordinates of nodes."""
+    grid = Grid.from_blocks([block_around(np.arange(30.0), np.arange(2.0), np.arange(1.0 * thick))])
+    topology = find_topology(grid)
+    numbers = np.random.default_rng(1).permutation(topology.n_unique)[:21]
+    x = grid.points[topology.first[numbers]]
+    moved = x + 0.1 * np.sin(x + 1.0) * [1.0, 1.0, thick - 1.0]
+    rows = np.column_stack([numbers, moved[:, : grid.dimension]])
+
+    def read(columns):
+        """Read as x, y, dx and dy."""
+        found = np.zeros((len(columns), 6))
+        found[:, [0, 1, 3, 4][: columns.shape[1]]] = columns
+        table = SurfaceData(found[:, :3], found[:, 3:], NO_TRIANGLES, "t", columns.shape[1] == 4, numbered=True)
+        return table, tables.by_place(table, grid, topology)
+
+    _, found = read(rows)
+    np.testing.assert_array_equal(found.points, x)
+    np.testing.assert_allclose(found.displacement, moved - x, atol=1e-15)
+    four, half, twice = np.column_stack([rows, x])[:, :4], rows + 0.5, rows[[0, *range(21)]]
+    at_nodes = np.column_stack([np.arange(30), np.zeros((30, 3))])
+    for columns in (rows[:20], half, twice, at_nodes) if thick > 1 else (four,):
+        table, found = read(columns)
+        assert found is table
+    with pytest.raises(MotionError, match="this grid is in space" if thick > 1 else "not all in the first are whole"):
+        read(rows[:, :3] if thick > 1 else half)
 
 
 def test_nodes_of_collapsed_faces_are_matched_within_their_edges():
