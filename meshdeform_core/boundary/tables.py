@@ -344,7 +344,7 @@ def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, Fl
     edges = np.sort(np.stack([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]], axis=1), axis=2).reshape(-1, 2)
     _, number, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     rim = count[number.reshape(-1)].reshape(-1, 3) == 1
-    on_rim = ((weights <= 0) & rim[triangle]).any(axis=1)
+    on_rim = ((weights < 1e-12) & rim[triangle]).any(axis=1)
     return displacement, distance, np.where(on_rim, np.linalg.norm(aside, axis=1), 0.0)
 
 

@@ -187,6 +187,15 @@ def test_extrapolation_is_said_with_its_distance():
     table = SurfaceData(top, np.tile(SHIFT, (8, 1)), triangles, "half.vtp")
     (note,) = on_body(table, how="interpolate", tolerance=2.0)
     assert "by up to 0.5; their displacement is extrapolated" in note
+    # Beyond an edge that two triangles share is not beyond the table.
+    topology = find_topology(FRAME)
+    nodes = BoundaryNodes.of_quads(
+        FRAME, topology, select_quads(FRAME, topology, ["block2.imax", "block4.jmax"], "bar")
+    )
+    smaller = dataclasses.replace(table, points=top * [0.6, 0.6, 3.0] - [0.0, 0.0, 1.0])
+    beyond, (x, y, z) = tables.transfer(smaller, Matching("interpolate", 2.0), nodes).beyond, nodes.points.T
+    some = (np.minimum(np.abs(x), np.abs(y)) < 0.3) | (z < 0.5)
+    np.testing.assert_allclose(beyond[some], np.maximum(z - 0.5, 0.0)[some], atol=1e-12)
 
 
 @pytest.mark.parametrize("flat", [True, False])
