@@ -5,7 +5,7 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from cases import INNER, STILL, constant, everything_moves, formulas, problem_of, turning
+from cases import INNER, STILL, body_specs, constant, everything_moves, formulas, problem_of, turning
 from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
@@ -22,6 +22,7 @@ from meshdeform_core.quality.listed import find_pinned
 from meshdeform_core.quality.original import Original
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
+from meshdeform_core.wording import kind_of
 
 NEAR = expression(INNER, {"x", "y", "z"})
 
@@ -160,6 +161,7 @@ def test_body_through_the_far_field(make, shift, crosses):
     if found is not None:
         assert [each.patches for each in found.crossings] == [("(not selected)", "bar"), ("bar", "upper")]
         assert f": from {found.fraction:.2%} of the motion onwards {found.crossings[0]}" in found.message
+        assert kind_of(found.message) == "no valid grid: crossing of (not selected) and bar"
         assert found.fraction == pytest.approx(1.5 / shift, abs=1e-3)
         assert found.crossings[0].point[0] == pytest.approx(2.0, abs=1e-3)
         assert make is frame or found.crossings[0].point[2] == 0.0
@@ -210,6 +212,10 @@ def test_crossings_are_those_of_all_pairs_of_faces_by_their_strongest_patches(or
         at = np.array(places[each.patches])
         middle = np.argmin(np.linalg.norm(at - at.mean(axis=0), axis=1))
         np.testing.assert_allclose(each.point, at[middle], atol=1e-5)
+
+
+def test_slip_planes_that_the_motion_carries_along_are_not_crossed():
+    assert crossings(set_up(frame(), Case(tuple(body_specs(constant(0.6, 0, 0.3)))))) == ()
 
 
 def test_a_block_that_moves_within_another_does_not_lie_outside():

@@ -101,7 +101,7 @@ def test_a_table_a_thousand_times_larger_is_refused_where_it_covers_the_wall():
 @pytest.mark.parametrize(("how", "gap"), [("nearest", 1e-13), *(("interpolate", gap) for gap in (1e-13, 1e-9, 1e-7))])
 def test_two_displacements_at_practically_one_place_are_refused(how, gap):
     points = bar()
-    twice = np.concatenate([points, points[5:6] + gap])
+    twice = np.concatenate([points, points[[2, 5]] + gap])
     moved = np.tile(SHIFT, (len(twice), 1))
     moved[-1] += max(gap, 1e-8)
     assert on_body(data(twice, moved), how=how) == ()
@@ -127,7 +127,8 @@ def test_half_of_the_wall_ends_abruptly():
     (note,) = boundary.notes
     assert "abruptly at 28 faces of a smooth wall, where nodes that move by up to 0.0335 (at block7 (1, 2, 4))" in note
     fading = np.maximum(0.0, 0.5 - points[:, 2:]) * SHIFT
-    assert whole_table(data(points[inside], fading[inside])).notes == ()
+    for matching in ({}, {"how": "interpolate", "tolerance": 0.1}):
+        assert whole_table(data(points[inside], fading[inside]), **matching).notes == ()
 
 
 def test_the_farthest_of_the_nodes_without_a_match_is_named():
@@ -169,7 +170,7 @@ def test_nodes_move_that_all_tables_of_a_motion_match():
 def test_every_table_of_a_sequence_is_looked_at():
     tables = [data(bar()), data(bar() * [1.0, 1.0, 1.055])]
     follow = Follow(lambda number: tables[number], Matching("nearest", tolerance=0.5), (0.0, 1.0))
-    specs = body_specs(Motion((follow,), {}))
+    specs = body_specs(Motion((Follow(tables[0], Matching()), follow), {}))
     setup = set_up(FRAME, Case((*specs, BoundarySpec("rest", ("*",), Kind.SLIP))))
     assert setup.boundary.tables.warnings() == []
     setup.displacement(1.0)
