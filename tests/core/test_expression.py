@@ -2,6 +2,7 @@
 
 import contextlib
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ X = np.linspace(-1.0, 2.0, 7)
         ("(x > -3) + (x > 0) - (x > 1)", 1.0 + (X > 0) - 1.0 * (X > 1)),
         ("sin(x > -3) + exp(not x < -3)", np.full(7, np.sin(1.0) + np.e)),
         ("-(x > 0) + sign(x > 0) + (+(x > 0))", 1.0 * (X > 0)),
+        ("-(x > 0)", -1.0 * (X > 0)),
         ("hypot(x > 0, x > 0)", np.sqrt(2.0) * (X > 0)),
         ("where(x > 0, x**2, -x)", np.where(X > 0, X**2, -X)),
         ("max(0, 1 - abs(x)) + min(x, 0)", np.maximum(0, 1 - np.abs(X)) + np.minimum(X, 0)),
@@ -36,6 +38,7 @@ def test_values(text, expected):
     formula = expression(text, {"x", "L"})
     np.testing.assert_allclose(formula({"x": X, "L": 5.0}), expected, atol=1e-15)
     assert formula.is_condition == (np.asarray(expected).dtype == bool)
+    assert formula.names == {name for name in ("x", "L") if re.search(rf"\b{name}\b", text)}
 
 
 @pytest.mark.parametrize(

@@ -120,6 +120,7 @@ def test_quaternions_turn_uniformly(tmp_path):
     step, nodes = {"rigid": table(tmp_path, text)}, box_nodes()
     exact = Rotation.from_rotvec([0, 0, np.radians(30)]).apply(nodes.points) - nodes.points
     np.testing.assert_allclose(moved(nodes, step, tmp_path, 1 / 3), exact, atol=1e-14)
+    np.testing.assert_array_equal(moved(nodes, step, tmp_path, 1.0 + 5e-7), moved(nodes, step, tmp_path, 1.0))
 
 
 def helix(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -197,11 +198,24 @@ def test_beams_turn_with_their_root_over_time_and_carry_what_lies_beyond(tmp_pat
         case.case.boundaries[0].motion.require([1.5])
     assert case.files == (tmp_path / "beam.csv",)
     assert "from -0.5 to 1.5; those beyond an end" in case.case.boundaries[0].motion.prepare(nodes).notes[0]
-    for low, high in ((0.0, 1.0), (-1.0, 0.0)):
+    for low, high, told in ((0.0, 1.0, 1), (-1.0, 0.0, 1), (-1.5, 8.5, 1), (-2.0, 1.5, 0)):
         ends = np.array([[0.0, 0, low], [0, 0, high]])
         case = case_of({"boundary": [{"motion": beam(tmp_path, ends, 0 * ends, 0 * ends)}]}, tmp_path).case
-        (note,) = case.boundaries[0].motion.prepare(nodes).notes
-        assert f"from {-1 - low:g} to {1 - low:g}; those beyond an end" in note
+        notes = case.boundaries[0].motion.prepare(nodes).notes
+        lies = f"from 0 to {high - low:g} along the beam, the nodes lie from {-1 - low:g} to {1 - low:g}; those beyond"
+        assert [lies in note for note in notes] == [True] * told
+
+
+def test_beams_bend_as_parabolas_and_turn_by_whole_turns(tmp_path):
+    """Between stations at different distances, for which a parabola and a uniform twist are exact; once around at the
+    fourth one."""
+    nodes, s = box_nodes(), 1.75 * np.array([-1.0, -0.5, -0.2, 0.2, 0.5, 0.8, 1.0])[:, None]
+    along, bent = np.array([0.48, -0.6, 0.64]), np.array([0.1, 0.2, 0.3])
+    step = beam(tmp_path, s * along, (s + 1.75) ** 2 * bent, 360.0 / 2.1 * (s + 1.75) * along)
+    s = nodes.points @ along[:, None]
+    turned = Rotation.from_rotvec(2.0 * np.pi / 2.1 * (s + 1.75) * along).apply(nodes.points)
+    exact = turned - nodes.points + (s + 1.75) ** 2 * bent
+    np.testing.assert_allclose(moved(nodes, step, tmp_path), exact, atol=1e-12)
 
 
 BEAM = "x,y,z,dx,dy,dz,rx,ry,rz\n"
@@ -209,7 +223,8 @@ BAD_BEAMS = {
     BEAM + "0,0,0,0,0,0,0,0,0\n": "has one station; expected at least two, along a line",
     BEAM + 2 * "0,0,0,0,0,0,0,0,0\n": "first and last stations lie at one point",
     BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n": "stations 2 and 3, .* coincide or go back",
-    BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,175,0\n": "stations 1 and 2 are turned by 175 degrees from each other",
+    BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,175,0\n0,0,2,0,0,0,0,3,0\n": "stations 1 and 2 are turned by 175 degrees "
+    "from each other at t = 0; expected up to 170: give stations between",
 }
 
 
