@@ -89,10 +89,14 @@ def problem_of(grid: Grid | None = None, specs: list[BoundarySpec] | None = None
     return Problem(grid, topology, boundary)
 
 
+def prescribed(problem: Problem) -> np.ndarray:
+    """The displacement (n_unique, 3) that the boundary prescribes."""
+    return prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+
+
 def told(problem: Problem) -> np.ndarray:
-    """The displacement (n_sources, 3) that the boundary prescribes."""
-    every = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
-    return every[problem.source_numbers]
+    """That of the sources (n_sources, 3)."""
+    return prescribed(problem)[problem.source_numbers]
 
 
 def inner_nodes(problem: Problem) -> np.ndarray:

@@ -5,11 +5,10 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from cases import INNER, STILL, body_specs, constant, everything_moves, formulas, problem_of, turning
+from cases import INNER, STILL, body_specs, constant, everything_moves, formulas, prescribed, problem_of, turning
 from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.classification import prescribed_displacement
 from meshdeform_core.boundary.crossing import Contact
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion
@@ -21,7 +20,6 @@ from meshdeform_core.numerics.geometry.surface import TriangleTree
 from meshdeform_core.quality.listed import find_pinned
 from meshdeform_core.quality.original import Original
 from meshdeform_core.repair import RepairOptions
-from meshdeform_core.series import Schedule, deform_series
 from meshdeform_core.wording import kind_of
 
 NEAR = expression(INNER, {"x", "y", "z"})
@@ -270,20 +268,9 @@ def test_a_wall_through_its_body_is_told_although_every_cell_is_valid(grid, dept
         assert "the moved boundary crosses itself: '(not selected)' and 'left' meet at (0." in told[0]
 
 
-@pytest.mark.parametrize("times", [(2.0,), (1.0, 2.0), (0.0, 0.5, 1.0, 1.5, 2.0), (2.0, 2.00001), (1.0, 2.0, 3.0)])
-def test_every_level_of_a_series_is_tested(times):
-    """Whatever was tested before, and however little larger or smaller the displacement is."""
-    left = moving("left", "block2.imax", formulas("1.2 * (1 - 4*y*y) * sin(pi * (t - 1.5))", "0", "0"))
-    setup = set_up(frame_2d(), Case((left,), {}, Options("tfi"), repair=RepairOptions("off")))
-    for level in deform_series(setup, Schedule(times), "float64"):
-        told = any("the moved boundary crosses itself" in text for text in level.result.warnings)
-        assert told == (np.sin(np.pi * (level.time - 1.5)) > 0.9)
-
-
 def pinned(grid, motion):
     problem = problem_of(grid, everything_moves(motion))
-    displacement = prescribed_displacement(grid, problem.topology, problem.boundary)
-    return find_pinned(Original(grid, problem.topology), problem.boundary, displacement)
+    return find_pinned(Original(grid, problem.topology), problem.boundary, prescribed(problem))
 
 
 def slab(cells_across=1):

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from meshdeform_core.boundary import Kind
@@ -277,18 +279,13 @@ def write_selig(path: Path, outline: np.ndarray) -> dict:
 
 
 def distance_to_curve(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """Distances to the spline through an outline, by dense search and Newton's method."""
-    from scipy.interpolate import CubicSpline
-
+    """Distances to the spline through an outline, from its tangents at the nearest of many points."""
     knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
     spline = CubicSpline(knots, outline)
-    dense = np.linspace(0, knots[-1], 20_001)
-    s = dense[[np.argmin(np.linalg.norm(spline(dense) - p, axis=1)) for p in points]]
-    for _ in range(8):
-        away, slope, curvature = spline(s) - points, spline(s, 1), spline(s, 2)
-        step = (away * slope).sum(axis=1) / (slope**2 + away * curvature).sum(axis=1)
-        s = np.clip(s - step, 0, knots[-1])
-    return np.linalg.norm(spline(s) - points, axis=1)
+    dense = np.linspace(0, knots[-1], 400_001)
+    s = dense[cKDTree(spline(dense)).query(points)[1]]
+    away, slope = points - spline(s), spline(s, 1)
+    return np.abs(away[:, 0] * slope[:, 1] - away[:, 1] * slope[:, 0]) / np.linalg.norm(slope, axis=1)
 
 
 @pytest.mark.parametrize("blunt", [False, True])

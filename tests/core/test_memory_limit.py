@@ -11,16 +11,7 @@ import pytest
 from meshdeform_core import memory
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid import FileFormat
-from meshdeform_core.memory import (
-    UNLIMITED,
-    Demand,
-    MemoryLimit,
-    deforming,
-    parse_memory,
-    passing,
-    readable,
-    release_freed,
-)
+from meshdeform_core.memory import UNLIMITED, Demand, MemoryLimit, deforming, parse_memory, passing
 from meshdeform_core.parallel.scratch import resident_memory
 from meshdeform_formats.grids import Layout
 
@@ -28,8 +19,8 @@ from meshdeform_formats.grids import Layout
 def test_sizes_are_told_without_powers_of_ten():
     sizes = (1, 999, 1000, 1023, 1024, 1010 * 2**20, 999.4 * 2**30, 5000 * 2**40)
     expected = ["1 B", "999 B", "1000 B", "1023 B", "1 KiB", "1010 MiB", "999 GiB"]
-    assert [readable(size) for size in sizes][:-1] == expected
-    assert "e" not in readable(sizes[-1])
+    assert [memory.readable(size) for size in sizes][:-1] == expected
+    assert "e" not in memory.readable(sizes[-1])
 
 
 def test_what_is_set_apart_adds_up():
@@ -92,8 +83,8 @@ def test_what_fits_is_kept_in_memory():
 )
 def test_what_files_take_is_foretold(blocks, side, cap, peak):
     """Largest resident size in MB, measured with ``idw-tfi`` under a limit in MiB, and room on the disk."""
-    memory, files = boxes("idw-tfi", blocks, side).foretold(parse_memory(f"{cap}MiB", "--max-memory"), 0)
-    assert memory == pytest.approx(1e6 * peak, rel=0.15)
+    resident, files = boxes("idw-tfi", blocks, side).foretold(parse_memory(f"{cap}MiB", "--max-memory"), 0)
+    assert resident == pytest.approx(1e6 * peak, rel=0.15)
     # 624 MB were measured of 12 million nodes.
     assert files == pytest.approx(52 * blocks * side**3, rel=0.1)
 
@@ -132,5 +123,5 @@ def test_freed_memory_below_a_lasting_block_returns_to_the_system(monkeypatch):
     blocks = [np.ones(1 << 12) for _ in range(3000)]
     lasting, before = blocks[-1], resident_memory()[0]
     del blocks[:]
-    release_freed()
+    memory.release_freed()
     assert before - resident_memory()[0] > 0.8 * 3000 * lasting.nbytes

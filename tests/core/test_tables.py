@@ -258,10 +258,12 @@ def test_nothing_is_proposed_for_points_that_fit_nowhere():
     assert other_frame(NODES.points, NODES) == ""
 
 
-@pytest.mark.parametrize(("tolerance", "how"), [(None, "interpolate"), (0.02, "nearest")])
-def test_a_table_beside_the_nodes_is_of_them_within_the_tolerance(tolerance, how):
-    (match,) = whole_table(data(bar() + [0.0, 0.0, 0.01]), how=AUTOMATIC, tolerance=tolerance).movers[0][1].matches
-    assert match.how == how
+@pytest.mark.parametrize(
+    ("off", "tolerance", "how"), [(0.0, None, "nearest"), (0.01, None, "interpolate"), (0.01, 0.02, "nearest")]
+)
+def test_a_table_beside_the_nodes_is_of_them_within_the_tolerance(off, tolerance, how):
+    (match,) = whole_table(data(bar() + [0.0, 0.0, off]), how=AUTOMATIC, tolerance=tolerance).movers[0][1].matches
+    assert (match.how, match.matched.sum()) == (how, len(bar()))
     # Points that several nodes follow count once.
     (match,) = whole_table(data(bar()[::3]), how="nearest", tolerance=0.5).movers[0][1].matches
     assert match.used == (len(bar()[::3]),) * 2
@@ -273,12 +275,6 @@ def test_a_table_alone_moves_the_wall_that_it_fits():
     assert match.matching.walls == ("wing",)
     assert match.how == "interpolate"
     assert set(boundary.movers[0][0]) == set(NODES.numbers)
-
-
-def test_a_table_of_the_nodes_is_matched_to_the_nodes():
-    (match,) = whole_table(data(NODES.points), GRID, how=AUTOMATIC).movers[0][1].matches
-    assert match.how == "nearest"
-    assert match.matched.sum() == len(NODES.numbers)
 
 
 @pytest.mark.parametrize(
