@@ -268,19 +268,6 @@ def test_symmetry_plane_is_the_middle_of_a_mirrored_grid():
             np.testing.assert_allclose(whole.block(b, one)[:, :, :4], half.block(b, two), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["idw", "tfi", "idw-tfi"])
-def test_periodic_sides_move_alike_by_translation(name):
-    specs = body_specs(turning(15), Kind.SLIP)
-    specs.append(BoundarySpec("pitch", ("*.jmin", "*.jmax"), Kind.PERIODIC, expression("abs(y) > 1.99", XYZ)))
-    problem = problem_of(FRAME, specs)
-    moved = apply(Options(name), problem, told(problem))
-    low, high = (np.flatnonzero(FRAME.points[:, 1] == y) for y in (-2.0, 2.0))
-    order = [p[np.lexsort(FRAME.points[p].T)] for p in (low, high)]
-    interior = np.abs(FRAME.points[order[0], 0]) < 1.9
-    np.testing.assert_array_equal(moved[order[0]], moved[order[1]])
-    assert np.abs(moved[order[0]][interior]).max() > 1e-3
-
-
 C, S = np.cos(np.pi / 3), np.sin(np.pi / 3)
 PITCH = np.array([[C, -S, 0], [S, C, 0], [0, 0, 1]])
 
@@ -298,12 +285,14 @@ def sector():
 
 
 @pytest.mark.parametrize("casing", [Kind.FIXED, Kind.SLIP])
-def test_periodic_sector_moves_alike_by_rotation(casing):
+@pytest.mark.parametrize("name", ["idw", "tfi", "idw-tfi"])
+def test_periodic_sector_moves_alike_by_rotation(name, casing):
     grid, specs = sector()
     specs[1] = dataclasses.replace(specs[1], kind=casing)
     problem = problem_of(grid, [*specs, *specs_of(("pitch", ("block1.imin", "block1.imax"), Kind.PERIODIC, None))])
-    moved = grid.block(0, apply(Options("idw"), problem, told(problem)))
+    moved = grid.block(0, apply(Options(name), problem, told(problem)))
     np.testing.assert_allclose(moved[-1], moved[0] @ PITCH.T, atol=1e-14)
+    assert np.abs(moved[0, 1:-1]).max() > 1e-3
     with pytest.raises(CaseError, match="do not match by a translation"):
         problem_of(grid, [*specs[:2], *specs_of(("pitch", ("block1.imin", "block1.kmax"), Kind.PERIODIC, None))])
 
@@ -417,18 +406,11 @@ def test_exact_and_nearest_tables():
 @pytest.mark.parametrize("with_surface", [True, False])
 def test_interpolation_across_a_non_matching_surface(with_surface):
     """A linear field on a coarser, differently cut bar surface is reproduced on the nodes."""
-    side = np.linspace(-0.5, 0.5, 4)
-    rows = np.linspace(0.0, 1.0, 3)
-    ring = [(a, -0.5) for a in side] + [(0.5, a) for a in side[1:]]
-    ring += [(a, 0.5) for a in side[::-1][1:]] + [(-0.5, a) for a in side[::-1][1:]]
-    points = np.array([(x, y, z) for z in rows for x, y in ring])
-    n = len(ring)
-    quads = [(r * n + i, r * n + i + 1, (r + 1) * n + i + 1, (r + 1) * n + i) for r in range(2) for i in range(n - 1)]
-    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]) if with_surface else None
+    coarse = problem_of(frame(2, 2), body_specs(MOVE)).boundary.movers[0][1].nodes
+    points, triangles = coarse.points, triangles_of(coarse.faces) if with_surface else None
     matrix = np.array([[0.1, 0.0, 0.2], [0.0, -0.1, 0.1], [0.0, 0.0, 0.05]])
-    problem = problem_of(
-        FRAME, following(table(points, points @ matrix.T, triangles), how="interpolate", tolerance=0.3)
-    )
+    specs = following(table(points, points @ matrix.T, triangles), how="interpolate", tolerance=0.3)
+    problem = problem_of(FRAME, specs)
     nodes = problem.boundary.kind == Kind.MOVING
     told = prescribed(problem)[nodes]
     expected = problem.grid.points[problem.topology.first[nodes]] @ matrix.T

@@ -18,26 +18,25 @@ from meshdeform_core.repair.outcome import Judged
 from meshdeform_core.repair.repair import Repairer
 
 
-def o_grid(around: int = 121, layers: int = 61, far: float = 15.0) -> Grid:
+def o_grid(around: int = 121, layers: int = 61) -> Grid:
     """An ellipse of 1 x 0.12 in a conformal O-grid, one block whose ends meet."""
-    radius, focus = 0.28, np.sqrt(0.28 * 0.22)
     angle = np.linspace(0.0, 2.0 * np.pi, around)
     angle[-1] = 0.0
     # The steps of the map shrink with it at the wall: by its derivative there, about 1 at the sides.
-    distance = radius + clustered(0.0, far, layers - 1, 15.0)
-    circle = distance[None, :] * np.exp(1j * angle)[:, None]
-    place = circle + focus**2 / circle
+    circle = (0.28 + clustered(0.0, 15.0, layers - 1, 15.0)) * np.exp(1j * angle)[:, None]
+    return in_plane(circle + 0.28 * 0.22 / circle)
+
+
+def in_plane(place: np.ndarray) -> Grid:
+    """A block from complex numbers."""
     return Grid.from_blocks([np.stack([place.real, place.imag, 0 * place.real], axis=-1)[:, :, None]], ["o"])
 
 
 def moved_by_a_script(grid: Grid, degrees: float, layers: int = 20) -> Grid:
     """The grid with its wall turned and the nodes of the first ``layers`` carried along, less and less."""
-    x = grid.block(0)
-    angle = np.radians(degrees) * np.clip(1.0 - np.arange(x.shape[1]) / layers, 0.0, 1.0)[None, :, None]
-    points = x.copy()
-    points[..., 0] = np.cos(angle) * x[..., 0] - np.sin(angle) * x[..., 1]
-    points[..., 1] = np.sin(angle) * x[..., 0] + np.cos(angle) * x[..., 1]
-    return Grid.from_blocks([points], list(grid.names))
+    x = grid.block(0)[:, :, 0]
+    angle = np.radians(degrees) * np.clip(1.0 - np.arange(x.shape[1]) / layers, 0.0, 1.0)
+    return in_plane((x[..., 0] + 1j * x[..., 1]) * np.exp(1j * angle))
 
 
 def spoilt(layers=3, angle=110, size=6):

@@ -223,8 +223,7 @@ def test_splines_equal_those_of_scipy():
     expected = RBFInterpolator(points, values, neighbors=16, kernel="thin_plate_spline", degree=1)(targets)
     np.testing.assert_allclose(local_spline(points, values, targets)[0], expected, rtol=1e-8, atol=1e-10)
 
-
-def test_splines_of_points_on_a_line_or_at_one_place():
+    # Of points on a line or at one place.
     line = np.stack([np.linspace(0, 1, 7), np.zeros(7), np.zeros(7)], axis=1)
     got, _ = local_spline(line, line * [2.0, 0, 0], line[:3] + [0.01, 0.0, 0.0])
     np.testing.assert_allclose(got[:, 0], 2 * (line[:3, 0] + 0.01), atol=1e-9)
