@@ -42,7 +42,7 @@ def moved(
 
 FRAME = Rotation.from_euler("xyz", [20, -30, 50], degrees=True).as_matrix()
 ORIGIN, EDGES = np.array([-0.4, -0.9, -0.8]), FRAME * np.array([[1.1], [1.7], [1.3]])
-MOVES = [([2, 1, 2], [0.1, -0.2, 0.3]), ([3, 3, 2], [-0.3, 0.1, 0.05]), ([1, "*", 1], [0.0, 0.02, 0.0])]
+MOVES = [([2, 1, 2], [0.1, -0.2, 0.3]), ([3, 3, 2], [-0.3, 0.1, 0.05]), (["*", "*", 2], [0.0, 0.02, 0.0])]
 
 
 def box(moves=MOVES) -> dict:
@@ -118,11 +118,13 @@ def test_angles_about_the_axes_of_the_body(tmp_path):
 
 def test_quaternions_turn_uniformly(tmp_path):
     half = np.radians(45)
-    text = f"t qx qy qz qw\n0 0 0 0 1\n1 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n"
+    text = f"t qx qy qz qw\n0 0 0 0 1\n1 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n9 0 0 0 1\n"
     step, nodes = {"rigid": table(tmp_path, text)}, box_nodes()
     exact = Rotation.from_rotvec([0, 0, np.radians(30)]).apply(nodes.points) - nodes.points
     np.testing.assert_allclose(moved(nodes, step, tmp_path, 1 / 3), exact, atol=1e-14)
-    np.testing.assert_array_equal(moved(nodes, step, tmp_path, 1.0 + 5e-7), moved(nodes, step, tmp_path, 1.0))
+    np.testing.assert_array_equal(moved(nodes, step, tmp_path, 9.0 + 5e-7), moved(nodes, step, tmp_path, 9.0))
+    with pytest.raises(MotionError, match="times from 0 to 9; t = -2e-06 is not among them"):
+        moved(nodes, step, tmp_path, -2e-6)
 
 
 def helix(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -198,12 +200,13 @@ def test_beams_turn_with_their_root_over_time_and_carry_what_lies_beyond(tmp_pat
     case = case_of({"boundary": [{"select": ["*"], "motion": step}]}, tmp_path)
     with pytest.raises(MotionError, match=r"times from 0 to 1; t = 1\.5"):
         case.case.boundaries[0].motion.require([1.5])
-    assert case.files == (tmp_path / "beam.csv",)
+    assert (case.files, case.case.depends_on_time) == ((tmp_path / "beam.csv",), True)
     assert "from -0.5 to 1.5; those beyond an end" in case.case.boundaries[0].motion.prepare(nodes).notes[0]
     for low, high, told in ((0.0, 1.0, 1), (-1.0, 0.0, 1), (-1.5, 8.5, 1), (-2.0, 1.5, 0)):
         ends = np.array([[0.0, 0, low], [0, 0, high]])
         case = case_of({"boundary": [{"motion": beam(tmp_path, ends, 0 * ends, 0 * ends)}]}, tmp_path).case
         notes = case.boundaries[0].motion.prepare(nodes).notes
+        assert not case.depends_on_time
         lies = f"from 0 to {high - low:g} along the beam, the nodes lie from {-1 - low:g} to {1 - low:g}; those beyond"
         assert [lies in note for note in notes] == [True] * told
 
@@ -218,16 +221,6 @@ def test_beams_bend_as_parabolas_and_turn_by_whole_turns(tmp_path):
     turned = Rotation.from_rotvec(2.0 * np.pi / 2.1 * (s + 1.75) * along).apply(nodes.points)
     exact = turned - nodes.points + (s + 1.75) ** 2 * bent
     np.testing.assert_allclose(moved(nodes, step, tmp_path), exact, atol=1e-12)
-
-
-BEAM = "x,y,z,dx,dy,dz,rx,ry,rz\n"
-BAD_BEAMS = {
-    BEAM + "0,0,0,0,0,0,0,0,0\n": "has one station; expected at least two, along a line",
-    BEAM + 2 * "0,0,0,0,0,0,0,0,0\n": "first and last stations lie at one point",
-    BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n": "stations 2 and 3, .* coincide or go back",
-    BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,175,0\n0,0,2,0,0,0,0,3,0\n": "stations 1 and 2 are turned by 175 degrees "
-    "from each other at t = 0; expected up to 170: give stations between",
-}
 
 
 def test_modes_add_up(tmp_path):
@@ -383,11 +376,16 @@ def test_positions_by_number(tmp_path):
         moved(nodes, {"positions": {"file": "w.dat"}}, tmp_path)
 
 
+BEAM, REST = "x,y,z,dx,dy,dz,rx,ry,rz\n", "0,0,0,0,0,0,0,0,0\n"
 BAD_TABLES = [
-    *(("beam", text, message) for text, message in BAD_BEAMS.items()),
+    ("beam", BEAM + REST, "has one station; expected at least two, along a line"),
+    ("beam", BEAM + 2 * REST, "first and last stations lie at one point"),
+    ("beam", BEAM + REST + 2 * "0,0,1,0,0,0,0,0,0\n", "stations 2 and 3, .* coincide or go back"),
+    ("beam", BEAM + REST + "0,0,1,0,0,0,0,175,0\n0,0,2,0,0,0,0,3,0\n", "stations 1 and 2 are turned by 175 degrees "
+     "from each other at t = 0; expected up to 170: give stations between"),
     ("positions", "0 0 0 0\n", "no position for"),
     ("positions", "0 0 0 0\n-1 0 0 0\n99999 0 0 0\n", "2 numbers are not of points on block faces, the first -1; th"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("motion", "text", "message"), BAD_TABLES)
