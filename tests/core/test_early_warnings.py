@@ -195,18 +195,3 @@ def test_deformation_seen_from_a_turning_frame_is_the_same(grid, angle):
     for axis in AXES if np.ptp(grid.points[:, 2]) else AXES[:1]:
         moved = apply(Options("idw"), problem, lambda x, axis=axis: turned(x + bend(x), angle, axis) - x)
         np.testing.assert_allclose(grid.points + moved, turned(still, angle, axis), atol=1e-12)
-
-
-@pytest.mark.parametrize("rotation", ["lie", "quaternion", "division", "blend"])
-def test_deforming_body_passes_half_a_turn(rotation):
-    """In a fixed box, nodes of the body that turn by 178 and 182 degrees turn in the same direction."""
-    problem = problem_of(frame(), body_specs(turning(180)))
-    x = problem.source_points
-    inner = np.hypot(x[:, 0], x[:, 1]) < 0.9
-    sides = [turned(x, 180 + 2 * sign) - x for sign in (-1.0, 1.0)]
-    twisted = np.where(inner[:, None], np.where(x[:, :1] < 0.0, *sides), 0.0)
-    angle = problem.rotations.of(twisted)[1][inner][:, 2]
-    assert np.ptp(angle) < np.radians(20)
-    assert np.abs(angle).min() > np.radians(165)
-    smooth = apply(Options("idw", idw=IDW(rotation=rotation)), problem, twisted)
-    assert np.isfinite(smooth).all()
