@@ -356,13 +356,8 @@ def following(data, **matching):
     return body_specs(Motion((Follow(data, Matching(**matching)),), {}))
 
 
-def bar_nodes():
-    problem = problem_of(FRAME, body_specs(MOVE))
-    return problem.grid.points[problem.topology.first[problem.boundary.kind == Kind.MOVING]]
-
-
 def test_exact_and_nearest_tables():
-    points = bar_nodes()
+    points = problem_of(FRAME, body_specs(MOVE)).boundary.movers[0][1].nodes.points
     shift = np.stack([0.1 * points[:, 1], -0.1 * points[:, 0], 0 * points[:, 0]], axis=1)
     shuffled = np.random.default_rng(0).permutation(len(points))
     for how, noise, tolerance in (("exact", 0.0, None), ("exact", 1e-3, 0.01), ("nearest", 1e-3, None)):

@@ -6,7 +6,7 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 from cases import INNER, STILL, body_specs, constant, everything_moves, formulas, prescribed, problem_of, turning
-from grids import block_around, frame, frame_2d, polar
+from grids import block_around, frame, frame_2d
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.crossing import Contact
@@ -157,14 +157,6 @@ def test_turning_and_shifting_everything_is_no_crossing():
     everything = moving("all", "*", turning(150.0))
     assert contact(frame(), everything) is None
     assert contact(frame_2d(), moving("all", "*", constant(1e3, 5, 0))) is None
-
-
-@pytest.mark.parametrize(("shift", "crosses"), [(1.99, False), (2.3, True)])
-def test_ring_squeezed_to_a_narrow_gap(shift, crosses):
-    """Inner radius 1 and outer radius 3: curved walls of the same facets close to each other."""
-    ends = BoundarySpec("ends", ("*.k*",), Kind.SLIP)
-    found = contact(polar(48, 6, 2), moving("wall", "*.jmin", constant(shift, 0, 0)), ends)
-    assert (found is not None) == crosses
 
 
 def test_a_wall_that_folds_onto_itself():

@@ -1,7 +1,5 @@
 """Series of levels over time: velocities, what is kept, how smoothly the grid moves."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 
