@@ -141,6 +141,12 @@ def test_a_level_that_is_unknown_or_above_this_processor_is_refused(monkeypatch,
     monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: {"sse2": True, "avx2": False})
     with pytest.raises(CaseError, match=problem):
         processor.choose_processor()
+    # Once numba is there it compiles for the level that it was imported with.
+    monkeypatch.setenv("MESHDEFORM_CPU", "x86-64")
+    with pytest.raises(CaseError, match="numba was imported before meshdeform"):
+        processor.choose_processor()
+    monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64")
+    processor.choose_processor()
 
 
 RUNS = """

@@ -15,7 +15,7 @@ from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, Setup, deform, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
-from meshdeform_core.numerics.geometry.crossing import crossing_faces
+from meshdeform_core.numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, crossing_faces
 from meshdeform_core.numerics.geometry.surface import TriangleTree
 from meshdeform_core.quality.listed import find_pinned
 from meshdeform_core.quality.original import Original
@@ -96,13 +96,14 @@ def test_pairs_are_those_of_exact_arithmetic(lattice):
     faces = np.arange(56).reshape(14, 4)
     faces[::7, 3] = faces[::7, 0]
     faces[1::9, 0] = faces[::9, 1][: len(faces[1::9])]
-    asked = random.random(14) < 0.7
-    pairs, places = crossing_faces(points, faces, np.zeros(14, dtype=np.int8), asked)
+    asked, role = random.random(14) < 0.7, random.choice([ORDINARY, BESIDE, SLIDING, SLIDING], 14)
+    pairs, places = crossing_faces(points, faces, role.astype(np.int8), asked)
     wanted = [
         (a, b)
         for a, b in combinations(range(14), 2)
         if (asked[a] or asked[b])
         and not set(faces[a]) & set(faces[b])
+        and {role[a], role[b]} != {BESIDE, SLIDING}
         and cross_exactly(points[faces[a]], points[faces[b]])
     ]
     assert [tuple(pair) for pair in pairs] == wanted

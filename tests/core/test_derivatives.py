@@ -14,6 +14,7 @@ from meshdeform_core.methods.limits import CHOSEN, EDGES, FOLDED, HALF_TURNS, LA
 from meshdeform_core.methods.scattered import linear_idw
 from meshdeform_core.methods.scattered.summation import DERIVATIVE_TOLERANCE
 from meshdeform_core.numerics.rigid import Frame
+from meshdeform_core.numerics.tape import Tape
 from meshdeform_core.parallel import sharing
 
 # With weights computed anew in every part of a rotation there is no exact derivative.
@@ -109,6 +110,8 @@ def test_a_boundary_that_follows_its_mean_affine_motion_in_part():
     turns = [Frame.fitted(x, at, area, None, True).turn for at in (smooth, stretch + 0.1 * smooth, stretch)]
     np.testing.assert_array_equal(turns[0], Frame.fitted(x, smooth, area, None, False).turn)
     np.testing.assert_allclose(turns[2], np.diag([1.1, 0.95, 1.02]), atol=1e-15)
+    # Turned inside out, the boundary has a rigid frame alone.
+    assert np.linalg.det(Frame.fitted(x, x @ np.diag([-1.8, 0.1, 0.0]), area, None, True).turn) == pytest.approx(1.0)
     affine = np.linalg.norm(turns[1] - np.eye(3)) / np.linalg.norm(turns[2] - np.eye(3))
     assert 0.3 < affine < 0.95
     check(make_method(METHODS["idw-lie"]).prepare(where), stretch + 0.1 * smooth, rough)
@@ -248,6 +251,14 @@ def test_where_centres_are_chosen_the_derivative_is_that_of_all():
     )
     assert greedy.kinks == {CHOSEN: 1}
     np.testing.assert_array_equal(greedy.push(rough), whole.push(rough))
+
+
+def test_of_several_largest_values_the_derivative_is_the_mean():
+    tape = Tape()
+    variable = tape.variable(np.array([1.0, 3.0, 2.0, 3.0 * (1.0 - 1e-12), 3.0]))
+    largest = variable.max()
+    assert tape.push({variable.number: np.array([1.0, 2.0, 4.0, 8.0, 5.0])}, [largest.number])[0] == 5.0
+    np.testing.assert_allclose(tape.pull({largest.number: np.array(6.0)}, [variable.number])[0], [0, 2, 0, 2, 2])
 
 
 def test_where_there_is_no_derivative_is_named():

@@ -1,5 +1,7 @@
 """IDW against a slow twin, the limits it must have, and its options."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from cases import apply, body_specs, everything_moves, formulas, inner_nodes, problem_of, told, turning
@@ -51,6 +53,8 @@ SIDES = [BoundarySpec(face, (face,), Kind.MOVING, None, turning(25)) for face in
         # Moving faces that touch fixed ones, one body or two; a single layer of cells.
         *(("lie", grid, SIDES[:count]) for grid in (frame_2d(4), frame(3, 2)) for count in (1, 2)),
         ("lie", frame(3, 1), body_specs(turning(25))[:1]), ("lie by weights", frame(3, 1), SIDES),
+        # A flat side that turns within its plane.
+        ("quaternion", frame(3, 2), [dataclasses.replace(SIDES[0], motion=turning(130, (1, 0, 0)))]),
     ],
 )  # fmt: skip
 def test_slow_twin(name, grid, moving):
@@ -73,10 +77,13 @@ def test_slow_twin(name, grid, moving):
         ([100, 179, -178, 20, 10, 0], [100, 179, 182, 20, 10, 0]), ([-120, 179, 170] * 2, [-120, -181, -190] * 2),
         ([175, 176, 177, -179, -178, -178], [175, 176, 177, 181, 182, 182]), ([160, 160, 160, -165, -165, -165], None),
         ([-178, 179, -179, 60, 60, 60], [-178, -181, -179, 60, 60, 60]), ([80, 70, -80, 5, 5, 5], None),
+        # One surface that turns up to 320 degrees, and one that passes 324 degrees, beyond which none is followed.
+        ([5, 95, 179, -95, -40], [5, 95, 179, 265, 320]), ([5, 95, 179, -95, -30], None),
     ],
 )  # fmt: skip
 def test_surfaces_turn_continuously_and_alike(angles, expected):
     vectors, chain = np.radians(np.outer(angles, [0.6, 0.0, 0.8])), [(0, 1), (1, 2), (3, 4), (4, 5)]
+    chain = chain if len(angles) == 6 else [(0, 1), (1, 2), (2, 3), (3, 4)]
     found = continuous(vectors, np.array([*chain, *(pair[::-1] for pair in chain)]))
     np.testing.assert_allclose(np.degrees(found @ [0.6, 0.0, 0.8]), expected or angles)
 

@@ -147,20 +147,3 @@ def test_it_is_the_solution_of_a_small_system_at_every_node():
     np.testing.assert_allclose(found[flat], np.linalg.solve(system, given[flat][..., None])[..., 0], atol=0.01)
     others = np.setdiff1d(np.arange(problem.grid.n_nodes), flat)
     np.testing.assert_array_equal(found[others], given[others])
-
-
-def test_nodes_in_planes_lose_the_whole_component_and_those_at_walls_none():
-    problem = corner(sheared(frame()))
-    moving = problem.boundary.kind == Kind.MOVING
-    every = np.random.default_rng(4).standard_normal((problem.grid.n_nodes, 3))
-    at_walls, in_planes = (problem.topology.first[rows] for rows in (moving, ~moving))
-    for flat in (at_walls, in_planes):
-        found = every.copy()
-        BesideSlip(problem, np.sort(flat)).apply(found)
-        if flat is at_walls:
-            np.testing.assert_allclose(found, every, rtol=0, atol=1e-13)
-    for nodes, removed in problem.boundary.slip.groups:
-        rows = problem.topology.first[nodes]
-        assert np.abs(found[rows] @ removed).max() < 1e-12
-        kept = np.linalg.matrix_rank(np.eye(3) - removed, tol=1e-9)
-        assert kept == 0 or np.abs(found[rows]).max() > 0.01

@@ -23,7 +23,7 @@ from meshdeform_core.repair.newton import NewtonSystem
 from meshdeform_core.repair.outcome import Judged
 from meshdeform_core.repair.region import Basis
 from meshdeform_core.repair.repair import Repairer
-from meshdeform_core.repair.untangle import Untangler
+from meshdeform_core.repair.untangle import PATIENT, QUICK, Untangler
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
 
 
@@ -232,21 +232,6 @@ def test_planes_at_an_image_count_as_seen_from_its_root():
     np.testing.assert_allclose(found.frame[image], turn @ np.diag([0.0, 1.0, 1.0]), atol=1e-12)
 
 
-def test_cells_of_a_boundary_layer_that_only_turn_keep_their_heights():
-    """Cells of aspect ratio 1e4 at a wall that turns with them, broken cells further out."""
-    x = np.linspace(0.0, 1.0, 9)
-    z = np.concatenate([[0.0], 1e-5 * 2.2 ** np.arange(12), [0.3, 0.5, 0.75, 1.0]])
-    block = np.stack(np.meshgrid(x, x, z, indexing="ij"), axis=-1)
-    setup = fixed_setup(Grid.from_blocks([block]))
-    points = setup.grid.points.copy()
-    inner = setup.grid.block(0, points)
-    inner[4, 4, 14] += [0.3, 0.3, 0.4]
-    _, outcome = repaired(setup, points)
-    assert outcome.verdict.valid
-    ratio = outcome.verdict.ratio.reshape(8, 8, -1)
-    assert ratio[:, :, :6].min() > 0.7
-
-
 def test_when_nothing_helps_the_boundary_is_where_it_was_told():
     """The bar is pushed through the outer boundary: no valid grid exists."""
     result = deform(frame(4, 1), Case(tuple(body_specs(formulas("0", "6", "0")))))
@@ -446,14 +431,19 @@ def test_nodes_slide_on_curved_surfaces_and_stay_on_them(dimension):
     np.testing.assert_array_equal(outcome.points[held], points[held])
 
 
-def test_a_deep_fold_is_opened():
-    """Flow 173 of the random flows: walls turn by 208 degrees, and a quick fall of the regularisation is caught."""
-    body, _ = body_specs(turning("170"), Kind.SLIP)
-    setup = set_up(frame_2d(12), Case((dataclasses.replace(body, select=("*",)),), repair=RepairOptions("off")))
-    start = impose(setup, setup.motion(0.0), 1, "float64", Timing()).grid.points
-    verdict, outcome = repaired(setup, start)
-    assert verdict.failed.any()
-    assert outcome.verdict.valid
+@pytest.mark.parametrize(("amount", "full"), [(0.6, False), (0.8, True)])
+def test_a_patient_search_reaches_the_minimum_only_if_the_share_is_full_at_the_start(amount, full):
+    setup = fixed_setup(cube(7, 2))
+    plot, points = Basis(setup.original, setup.boundary).whole, setup.grid.points.copy()
+    assert Untangler(plot, plot.inside(points)).search(QUICK, False) is None
+    block = setup.grid.block(0, points)
+    block[3, 3] += amount * (block[4, 4] - block[3, 3])
+    quick, patient, polished = (
+        Untangler(plot, plot.inside(points)).search(*how) for how in ((QUICK, False), (PATIENT, False), (PATIENT, True))
+    )
+    assert [each.converged for each in (quick, patient, polished)] == [True, full, True]
+    assert [each.sound for each in (quick, patient, polished)] == [True] * 3
+    assert (quick.share >= 1.0) == full
 
 
 @pytest.mark.slow

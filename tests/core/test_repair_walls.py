@@ -33,6 +33,11 @@ def test_first_cells_at_walls_weigh_most_and_less_where_walls_are_few_cells_apar
     np.testing.assert_allclose([1.0 / nearness(np.zeros(1), far)[1] for far in (1, 10, 70, 90)], [1, 4, 28, 32])
     free, near = nearness(np.full(10, FARTHEST + 1), 0)
     np.testing.assert_array_equal(weigh(free[cells], near, start, cells), 1.0)
+    # Thin cells, one of them with an edge without length, in which all others are as thin as 100.
+    for aspect, expected in ((49.0, 1.0), (100.0, 2.0**1.25), (1e4, 40.0)):
+        corners = np.array([[0.0, 0.0], [0.0, 1.0], [aspect, 0.0], [aspect, 1.0], [0.0, 0.0], [0.0, 0.0]])
+        found = weigh(np.ones((2, 4)), near, corners, np.array([[0, 1, 2, 3], [0, 4, 2, 3]]))
+        np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
 def test_moving_far_field_is_no_wall_unless_nothing_else_moves():
