@@ -43,7 +43,7 @@ def kinds(problem, where):
     [
         ("block1.imin", 4 * 3), ("block1.imin[1:3,*]", 2 * 3), ("block1.imin[*,2:]", 4 * 2), ("block1.imin[:2,:2]", 1),
         ("block1.*min", 4 * 3 + 4 * 3 + 16), ("block*.kmin", 15 * 15 - 25), ("*.kmin", 15 * 15 - 25),
-        ("bar", 10), ("walls", 10), ("block2/bar", 10), ("b?r", 10),
+        ("bar", 10), ("walls", 10), ("block2/bar", 10), ("b?r", 10), ("*2/w*", 10), ("block1.imin[:,2:]", 4 * 2),
     ],
 )  # fmt: skip
 def test_patterns(pattern, quads):

@@ -32,9 +32,6 @@ def roles_of(grid):
     return {face.label(grid): role for face, role in zip(found.faces, found.roles, strict=True)}
 
 
-# geometry
-
-
 @pytest.mark.parametrize("make", [frame, frame_2d])
 @pytest.mark.parametrize("axes", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
 @pytest.mark.parametrize("flips", [(False, False, False), (True, False, True), (False, True, False)])
@@ -102,9 +99,6 @@ def test_walls_that_cover_most_of_a_plane_are_no_bodies(parts, bodies):
     patches = tuple(Patch(name, (Window(0, side, (first, 0), (last, 4)),), bc_type="BCWall")
                     for name, (side, first, last) in parts.items())  # fmt: skip
     assert {body.name for body in outside_of(dataclasses.replace(grid, patches=patches)).bodies} == bodies
-
-
-# roles
 
 
 def test_a_body_without_clustered_cells_is_a_wall():

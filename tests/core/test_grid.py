@@ -13,6 +13,7 @@ from meshdeform_core.grid.blocks import rounded
 from meshdeform_core.grid.connections import check_connections
 from meshdeform_core.grid.parts import Periodicity
 from meshdeform_core.grid.planes import plane_normal
+from meshdeform_core.grid.selection import BY_PREFIX, with_components
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.grid.windows import end_planes
 
@@ -45,13 +46,15 @@ def test_places_have_names():
     assert list(map(grid.node_label, (26, 27, 27 + 11))) == ["a (3, 3, 3)", "wing (1, 1, 1)", "wing (2, 2, 3)"]
     assert grid.window_label(Window(1, Side.KMAX, (0, 0), (2, 1))) == "wing.kmax"
     assert grid.window_label(Window(1, Side.JMIN, (0, 1), (2, 2))) == "wing.jmin[1:3,2:3]"
+    named = Grid.from_blocks([CUBE] * 4, ["1", "wing.01", "wing-2", "a 3b"])
+    assert with_components(named, BY_PREFIX).components == ("1", "wing", "wing", "a 3b")
     np.testing.assert_array_equal(grid.sample(9), grid.points[::5])
     assert [each.n_face_nodes for each in (ONE, grid, Grid.from_blocks([CUBE[:, :1]]))] == [26, 26 + 18, 9]
     np.testing.assert_array_equal(rounded(grid.points / 3, "float32"), (grid.points / 3).astype("f4").astype("f8"))
     # Out of a far side into a near one the index of the other block increases.
     assert [Side.IMAX.into(side) for side in Side] == [1, -1, 2, -2, 3, -3]
-    formats = FileFormat("plot3d", "float32", {"encoding": "fortran", "iblank": False}), FileFormat("cgns")
-    assert [each.label for each in formats] == ["plot3d (encoding=fortran, iblank=false), float32", "cgns, float64"]
+    formats = FileFormat("plot3d", "float32", {"encoding": "Fortran", "iblank": False}), FileFormat("cgns")
+    assert [each.label for each in formats] == ["plot3d (encoding=Fortran, iblank=false), float32", "cgns, float64"]
     named = [Field(name, place, 0, CUBE) for name, place in (("IBlank", "node"), ("IBLANK", "cell"), ("p", "node"))]
     assert [each.blanks for each in named] == [True, False, False]
 

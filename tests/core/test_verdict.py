@@ -5,9 +5,10 @@ import itertools
 
 import numpy as np
 import pytest
-from cases import body_specs, constant, turning
+from cases import STILL, body_specs, constant, turning
 from grids import frame
 
+from meshdeform_core.boundary import BoundarySpec, Kind, classify
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
@@ -15,7 +16,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options, composite
 from meshdeform_core.numerics.cell.inspection import OPEN, Scratch, inspect_hexahedra
 from meshdeform_core.numerics.cell.measures import cell_corners, decide, measure_cells
-from meshdeform_core.quality import Original, assess
+from meshdeform_core.quality import InvalidCell, Original, assess
 from meshdeform_core.quality.validity import TOTALS, Comparison, Failure, judge
 from meshdeform_core.repair import RepairOptions
 
@@ -140,12 +141,11 @@ def test_quadrilaterals_are_judged_by_their_corners_in_any_index_plane():
 
 
 def test_smaller_jacobians_than_allowed_are_invalid():
-    before = block(3)
-    after = before * [1.0, 1.0, 0.05]
-    assert judge(original_of(before), after.reshape(-1, 3)).valid
-    verdict = judge(original_of(before, min_jacobian=0.1), after.reshape(-1, 3))
-    assert verdict.invalid.size == 8
-    assert judge(original_of(before, min_jacobian=0.04), after.reshape(-1, 3)).valid
+    before = block(4, 0.2)
+    after = (before * [1.0, 1.0, 0.3]).reshape(-1, 3)
+    for limit, invalid in ((0.0, 0), (0.3 - 3e-7, 0), (0.3 + 3e-7, 27), (0.4, 27)):
+        assert judge(original_of(before, min_jacobian=limit), after).invalid.size == invalid
+    assert judge(original_of(block(2), min_jacobian=0.25), 0.5 * block(2).reshape(-1, 3) * [1.0, 1.0, 2.0]).valid
 
 
 def wedge():
@@ -294,3 +294,24 @@ def test_extremes_and_totals_of_a_report_are_in_double_precision(flip):
     assert quality.f_skew.harmonic_mean == pytest.approx(1 / (1 / new[0]).mean(), rel=TOLERANCE)
     assert quality.f_skew.p01 == pytest.approx(np.sort(new[0])[-(-new[0].size // 100) - 1], rel=TOLERANCE)
     assert quality.f_skew.histogram == tuple(np.histogram(new[0], 20, (0.0, 1.0))[0])
+
+
+def test_invalid_cells_are_listed_the_worst_first():
+    """At most 200 of them, with the boundary that was nearest before the motion."""
+    before = box((9, 8, 7))
+    after = before + 0.8 * np.random.default_rng(1).standard_normal(before.shape) + [9.0, 0.0, 0.0]
+    original = original_of(before)
+    specs = [BoundarySpec(side, (f"block1.{side}",), Kind.MOVING, None, STILL) for side in ("imin", "imax")]
+    boundary = classify(original.grid, original.topology, specs, {})
+    found = assess(original, after.reshape(-1, 3), boundary, step_of=lambda cell: 7 * cell)
+    failed, (skew, _, jacobian, _) = judge(original, after.reshape(-1, 3)).failed, plain(after, 1.0)
+    worst = np.argsort(np.where(failed != 0, jacobian.min(axis=1), np.inf))[:200]
+    assert found.after.invalid_cells == np.count_nonzero(failed) > 200 == len(found.invalid)
+    places = np.stack(np.unravel_index(worst, (8, 7, 6)), axis=1)
+    for one, cell, place in zip(found.invalid, worst.tolist(), places.tolist(), strict=True):
+        center = cell_corners(after)[cell].mean(axis=0)
+        near = "imin" if place[0] < 4 else "imax"
+        assert one == InvalidCell(
+            "block1", tuple(n + 1 for n in place), pytest.approx(skew[cell]), pytest.approx(jacobian[cell].min()),
+            pytest.approx(center), Failure(failed[cell]).label, near, 7 * cell,
+        )  # fmt: skip
