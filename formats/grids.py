@@ -199,12 +199,12 @@ def complete_for_export(grid: Grid, path: Path, options: Mapping[str, Any] | Non
     holds connections and the grid declares none, and with notes of what it cannot hold: fields, IBLANK and solutions,
     but for fields computed for the file itself (``--field``), and patches that no neutral map file beside it holds."""
     name, source = format_of(path), grid.format.name if grid.format else ""
-    blocks = Counter((field.location, field.name) for field in grid.fields)
+    blocks = Counter((field.location, field.name, field.values.shape[3:]) for field in grid.fields)
     lost = []
     for field in grid.fields:
-        kept = FORMATS[name].fields or (name == "plot3d" and field.blanks)
+        kept, kind = FORMATS[name].fields or (name == "plot3d" and field.blanks), (field.location, field.name)
         if path.suffix.lower() == ".vtu":
-            kept = field.location in ("node", "cell") and blocks[field.location, field.name] == grid.n_blocks
+            kept = kind[0] in ("node", "cell") and blocks[*kind, field.values.shape[3:]] == grid.n_blocks
         if not kept:
             lost.append(field.name.upper() if field.blanks else field.name)
     names = list(dict.fromkeys(lost))

@@ -11,6 +11,7 @@ from grids import block_around, whole_face
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
 from meshdeform_formats import write_grid
+from meshdeform_formats.grids import complete_for_export
 
 FORMATS = {".vtu": "vtu", ".msh": "gmsh", ".med": "med", ".su2": "su2", ".inp": "abaqus"}
 
@@ -19,20 +20,24 @@ def box(low, high, shape):
     return block_around(*(np.linspace(a, b, n) for a, b, n in zip(low, high, shape, strict=True)))
 
 
+NOTHING = Patch("declared without faces", ())
+
+
 def two_blocks():
     """Two unit-high boxes that share a face; the second is left-handed."""
     first, second = box((0, 0, 0), (1, 1, 1), (3, 3, 4)), box((1, 0, 0), (3, 1, 1), (5, 3, 4))[::-1]
     wall = Patch("lower wall", (whole_face((3, 3, 4), 0, Side.JMIN), Window(1, Side.JMIN, (0, 0), (2, 3))))
     shared = Patch("interface", (whole_face((3, 3, 4), 0, Side.IMAX),))
     fields = (
-        Field("x", "node", 0, first[..., 0]),
         Field("x", "node", 1, second[..., 0]),
+        Field("x", "node", 0, first[..., 0]),
+        *(Field("mixed", "node", b, np.ones((3 + 2 * b, 3, 4, 2 + b))) for b in (0, 1)),
         Field("centre", "cell", 0, _centres(first)),
         Field("centre", "cell", 1, _centres(second)),
         Field("flag", "node", 0, np.ones((3, 3, 4), dtype=bool)),
         *(Field("small", "cell", b, np.full((2 + 2 * b, 2, 3), b, np.int16)) for b in (0, 1)),
     )
-    return Grid.from_blocks([first, second], ["left", "right"], patches=(wall, shared), fields=fields)
+    return Grid.from_blocks([first, second], ["left", "right"], patches=(wall, shared, NOTHING), fields=fields)
 
 
 def _centres(points):
@@ -127,7 +132,7 @@ def test_plane_su2(tmp_path, flat, normal, left_handed):
 
 def test_a_curved_surface_is_no_su2_grid(tmp_path):
     points = box((0, 0, 0), (1, 1, 0), (3, 3, 1))
-    points[..., 2] = points[..., 0] ** 2
+    points[..., 2] = 1e-6 * points[..., 0] ** 2
     grid = Grid.from_blocks([points])
     with pytest.raises(FormatError, match="a 2-D SU2 grid must be plane"):
         write_grid(grid, tmp_path / "a.su2")
@@ -155,7 +160,7 @@ def with_families():
         Connection(f"p{b}", b, (0, 0, 0), (i - 1, 0, k - 1), b, (0, j - 1, 0), (i - 1, j - 1, k - 1), (1, 2, 3), motion)
         for b, (i, j, k) in enumerate(grid.shapes)
     ]
-    return dataclasses.replace(grid, patches=tuple(family), connections=tuple(pairs))
+    return dataclasses.replace(grid, patches=(*family, NOTHING), connections=tuple(pairs))
 
 
 FAMILIES = {"skin": 4 + 8, "left.imin": 6, "left.kmax": 4, "right.imin": 6, "right.kmax": 8}
@@ -206,7 +211,12 @@ def test_fields_blocks_and_families_of_boundary_faces(tmp_path):
     for name in ("block", "small"):
         np.testing.assert_array_equal(mesh.cell_data[name][0], np.repeat([0, 1], [12, 24]))
     assert (mesh.cell_data["block"][1] == -1).all()
-    assert "flag" not in mesh.point_data
+    assert list(mesh.point_data) == ["x"]
+    lack = ".vtu files cannot hold the 3 patches of the grid; add the outside faces with their families by --variant"
+    lost = ".vtu files cannot hold these data of the grid, which are not written: mixed, flag"
+    for options in (None, {"boundary": "false"}, {"boundary": True}):
+        notes = complete_for_export(with_families(), tmp_path / "a.vtu", options).notes
+        assert notes == ((lost,) if options == {"boundary": True} else (lost, f"{lack} boundary=true"))
 
 
 def test_points_are_numbered_as_documented(tmp_path):
