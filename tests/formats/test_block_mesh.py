@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, Side
-from meshdeform_core.grid.connections import connected_nodes, periodic_rotation
+from meshdeform_core.grid.connections import connected_nodes, periodic_image
 from meshdeform_core.grid.topology import find_topology, quads_of_patches
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.openfoam.block_mesh_dict import Section, arc_about, arc_by_angle, arc_through, divide
@@ -27,25 +28,16 @@ CURVED = (
     + """
 convertToMeters 0.1;   // comment
 n 6; dims ($n 5 4); common { h 2; }
-vertices
-(
-  (0 0 0) (2 0 0) (2 1.2 0) (0 1 0)
-  name v4 (0 0 $common.h) (2.1 0 2) (2 1 2) (0 1 2.2)
-  (4 0 0) (4 1.2 0) (4 0 2) (4 1 2)
+vertices (
+ (0 0 0) (2 0 0) (2 1.2 0) (0 1 0) name v4 (0 0 $common.h) (2.1 0 2) (2 1 2) (0 1 2.2) (4 0 0) (4 1.2 0) (4 0 2) (4 1 2)
 );
-blocks
-(
-  hex (0 1 2 3 v4 5 6 7) $dims edgeGrading (2 2 3 3 1 1 ((0.3 0.4 3) (0.7 0.6 0.2)) 1 4 4 -3 4)
-  hex (1 8 9 2 5 10 11 6) zone1 (7 5 4) edgeGrading (1 1 1 1 1 1 1 ((0.3 0.4 3) (0.7 0.6 0.2)) 4 1 1 -3)
+blocks (
+ hex (0 1 2 3 v4 5 6 7) $dims edgeGrading (2 2 3 3 1 1 ((0.3 0.4 3) (0.7 0.6 0.2)) 1 4 4 -3 4)
+ hex (1 8 9 2 5 10 11 6) zone1 (7 5 4) edgeGrading (1 1 1 1 1 1 1 ((0.3 0.4 3) (0.7 0.6 0.2)) 4 1 1 -3)
 );
-edges
-(
-  spline 0 1 ((0.5 0.3 0.1) (1.4 -0.2 0))
-  BSpline 3 2 ((0.5 1.3 0.1) (1.4 1.2 0))
-  polyLine v4 5 ((1 0.2 2.1))
-  arc 1 2 (2.2 0.6 -0.1)
-  arc 10 8 (4.5 0 1)
-  line 9 11
+edges (
+ spline 0 1 ((0.5 0.3 0.1) (1.4 -0.2 0)) BSpline 3 2 ((0.5 1.3 0.1) (1.4 1.2 0)) polyLine v4 5 ((1 0.2 2.1))
+ arc 1 2 (2.2 0.6 -0.1) arc 10 8 (4.5 0 1) line 9 11
 );
 boundary ( left { type wall; faces ((0 4 7 3)); } right { type patch; faces ((8 9 11 10)); } );
 mergePatchPairs ();
@@ -117,14 +109,47 @@ def test_public_benchmark_is_read_as_its_oracle(third_party):
     assert topology.external.sum() == len(quads_of_patches(topology.quads, grid.patches)[0])
 
 
-def test_cyclic_patches_are_periodic_connections(tmp_path):
-    grid = read(tmp_path, WEDGE)
-    assert len(grid.connections) == 2
+DEFAULTS = {
+    WEDGE: ("axis", "empty"),
+    UNDECLARED: ("defaultFaces", "empty"),
+    UNDECLARED + "defaultPatch { name rest; type wall; }": ("rest", "wall"),
+    WEDGE.replace("axis {", "in2 { type patch; faces ((0 3 3 0)); } axis {"): ("axis", "empty"),
+}
+
+
+@pytest.mark.parametrize("text", DEFAULTS)
+def test_patches_of_a_wedge_and_the_default_patch(text, tmp_path):
+    """Sides that are collapsed to lines have no faces; other entries of a patch than those of its faces stay."""
+    grid = read(tmp_path, text.replace("{ type wall; faces", "{ type wall; inGroups 1 (walls); nFaces 7; faces"))
+    known = [(name, "cyclic", 2) for name in ("low", "high")] + [(name, "patch", 2) for name in ("in", "out")]
+    known += [("shroud", "wall", 1)] + [("in2", "patch", 0)] * ("in2" in text) + [(*DEFAULTS[text], 0)]
+    assert [(patch.name, patch.bc_type, len(patch.windows)) for patch in grid.patches] == known
+    write_grid(grid, tmp_path / "own/case.foam")
+    assert read_mesh(tmp_path / "own").patches["shroud"]["inGroups"] == "1 (walls)"
+    assert (tmp_path / "own/constant/polyMesh/boundary").read_text().count("nFaces") == len(known)
+
+
+AWAY = re.sub(r"(?<!Axis )\((\S+) (\S+ \d)\)", lambda found: f"({float(found[1]) + 5!r} {found[2]})", WEDGE)
+CYCLIC = {
+    "an axis": WEDGE.replace("transform rotational;", ""),
+    "the default axis": WEDGE.replace("rotationAxis (0 0 1); rotationCentre (0 0 0);", ""),
+    "another centre": AWAY.replace("rotationCentre (5.0 0 0)", "rotationCentre (0.5 0 3)") + "scale 0.1;",
+}
+
+
+@pytest.mark.parametrize("name", CYCLIC)
+def test_cyclic_patches_are_periodic_connections(name, tmp_path):
+    grid = read(tmp_path, CYCLIC[name])
+    assert [connection.name for connection in grid.connections] == ["low-1", "low-2"]
+    assert grid.notes == ()
     for connection in grid.connections:
         own, donor = connected_nodes(grid, connection)
         assert connection.periodic is not None
-        turned = grid.points[own] @ periodic_rotation(connection.periodic).T
-        np.testing.assert_allclose(turned, grid.points[donor], atol=1e-14)
+        moved = periodic_image(grid.points[own], connection.periodic)
+        np.testing.assert_allclose(moved, grid.points[donor], atol=1e-14)
+    grid = read(tmp_path, WEDGE.replace("0.5176380902050415", "0.5178", 1))
+    assert grid.connections == ()
+    assert grid.notes == (f"{grid.path}: no motion maps cyclic patch low onto high; they are not connected",)
 
 
 def test_translational_cyclic_patches_may_be_numbered_differently(tmp_path):
@@ -135,12 +160,12 @@ def test_translational_cyclic_patches_may_be_numbered_differently(tmp_path):
     boundary (
       a { type cyclic; neighbourPatch b; faces ((0 1 5 4)); }
       b { type cyclic; neighbourPatch a; faces ((3 2 6 7)); }
-    );"""
+    ); scale (1 3 1);"""
     )
     grid = read(tmp_path, text)
     (connection,) = grid.connections
     own, donor = connected_nodes(grid, connection)
-    np.testing.assert_allclose(grid.points[own] + [0, 1, 0], grid.points[donor], atol=1e-15)
+    np.testing.assert_allclose(grid.points[own] + [0, 3, 0], grid.points[donor], atol=1e-15)
     assert {patch.name for patch in grid.patches} == {"a", "b", "defaultFaces"}
 
 
@@ -150,6 +175,7 @@ def test_arcs_lie_on_their_circles():
     exact = np.stack([np.cos(at * np.pi / 2), np.sin(at * np.pi / 2), 0 * at], axis=1)
     long = np.stack([np.cos(at * 1.5 * np.pi), -np.sin(at * 1.5 * np.pi), 0 * at], axis=1)
     middle = np.array([np.cos(0.3), np.sin(0.3), 0])
+
     for arc, known in (
         (arc_through(first, middle, last), exact),
         (arc_through(first, np.array([np.cos(2.0), -np.sin(2.0), 0]), last), long),
@@ -175,6 +201,21 @@ def test_divisions_have_the_ratios_of_their_sections():
     assert nodes[5] == pytest.approx(0.25)
     assert np.diff(nodes)[4] / np.diff(nodes)[0] == pytest.approx(4.0)
     np.testing.assert_allclose(divide(1, (Section(), Section())), [0, 1])
+    # The first of the sections with most cells takes what rounding leaves.
+    assert divide(10, 3 * (Section(),))[4] == pytest.approx(1 / 3)
+
+
+def test_edges_given_backwards_have_the_same_nodes(tmp_path):
+    """Also of several sections, more than there are cells, and of negative ratios, which are reciprocals."""
+    parts = "((0.3 0.4 3) (0.7 0.6 0.2))"
+    gradings = f"2 {parts} 3 -4 {parts} 1 1 2 {parts} 1 1 1"
+    text = HEAD + CUBE + f"blocks (hex (0 1 2 3 4 5 6 7) (9 7 1) edgeGrading ({gradings}));"
+    known = read(tmp_path, text)
+    steps = np.diff(known.block(0)[:, 0, -1, 0])
+    assert steps[-1] / steps[0] == pytest.approx(0.25)
+    lines = " line ".join(["", "1 0", "2 3", "6 7", "5 4", "3 0", "2 1", "6 5", "7 4", "4 0", "5 1", "6 2", "7 3"])
+    turned = read(tmp_path, f"{text} edges ({lines});")
+    np.testing.assert_allclose(turned.points, known.points, rtol=0, atol=1e-15)
 
 
 def test_left_handed_blocks_and_old_patches(tmp_path):
@@ -197,11 +238,12 @@ def test_macros_of_dictionaries_and_lists(tmp_path):
         HEAD
         + CUBE
         + """scale (1 2 3);
-    grading (2 3 4); inner { cells (4 3 2); again { deep $..cells; } } base { type wall; }
-    blocks (hex (0 1 2 3 4 5 6 7) $:inner.again.deep simpleGrading $grading);
+    grading (2 3 4); inner { cells (4 3 2); again { deep $..cells; } } inner { more 1; } base { type wall; }
+    outer { inner { again { deep (9 9 9); } } cells $:inner.again.deep; }
+    blocks (hex (0 1 2 3 4 5 6 7) $:outer.cells simpleGrading $grading);
     boundary (floor { $base; faces ((0 1 2 3)); });"""
     )
-    grid = read(tmp_path, text)
+    grid = read(tmp_path, text + "convertToMeters 7;")
     assert grid.shapes == ((5, 4, 3),)
     assert grid.patches[0].bc_type == "wall"
     np.testing.assert_allclose(grid.points.max(axis=0), [1, 2, 3])
@@ -209,7 +251,7 @@ def test_macros_of_dictionaries_and_lists(tmp_path):
     assert steps[-1] / steps[0] == pytest.approx(2.0)
 
 
-SIDE = "type wall; faces ((0 1 2 3));"
+SIDE, FREE = "type wall; faces ((0 1 2 3));", "type cyclic; faces ();"
 BAD = {
     "calc": (ONE.replace("(4 3 2)", '(4 3 #calc "1+1")'), "#calc is not evaluated.*foamDictionary"),
     "include": ('#include "other"\n' + ONE, "#include is not evaluated"),
@@ -233,9 +275,11 @@ BAD = {
     "no faces": (ONE + "boundary (a { type wall((0 1 2 3)); });", "the patch 'a' has no faces"),
     "no type": (ONE + "boundary (a { faces ((0 1 2 3)); });", "the patch 'a' has no type"),
     "neighbour": (ONE + "boundary (a { type cyclic; neighbourPatch b; faces ((0 1 2 3)); });", "does not have it"),
+    "two": (ONE + f"boundary (a {{ neighbourPatch b; {FREE} }} b {{ neighbourPatch c; {FREE} }});", "neighbour b, wh"),
     "other": ("FoamFile { class volScalarField; object p; }\n", "of class volScalarField; expected a blockMeshDict"),
     "control": (HEAD + "application icoFoam;", "without vertices; expected a blockMeshDict"),
     "number": (ONE.replace("(1 1 0)", "(1 nan 0)"), "expected three coordinates of a vertex, found 'nan'"),
+    "underscore": (ONE.replace("(1 1 0)", "(1 1_0 0)"), "expected three coordinates of a vertex, found '1_0'"),
 }  # fmt: skip
 
 
@@ -260,6 +304,20 @@ def test_neighbours_must_agree_on_their_common_edges(tmp_path):
     assert find_topology(read(tmp_path, text % (3, 1))).external.sum() == 2 * 52 - 2 * 6
 
 
+REGIONS = {"rotor rotor stator": "rotor rotor stator", "rotor hub stator": "region1 region1 stator",
+           "fluid fluid fluid": "region1 region1 region2"}  # fmt: skip
+
+
+@pytest.mark.parametrize(("zones", "components"), REGIONS.items())
+def test_regions_that_no_side_joins_are_components(zones, components, tmp_path):
+    """With the name of the zone of their blocks if it is that of no other region; a common edge joins nothing."""
+    blocks = "blocks (hex (0 1 2 3 4 5 6 7) %s (2 2 2) simpleGrading (1 1 1) hex (1 8 9 2 5 10 11 6) %s (2 2 2)"
+    blocks += " simpleGrading (1 1 1) hex (12 13 14 3 15 16 17 7) %s (2 2 2) simpleGrading (1 1 1));"
+    more = "(2 0 0) (2 1 0) (2 0 1) (2 1 1) (-1 1 0) (-1 2 0) (0 2 0) (-1 1 1) (-1 2 1) (0 2 1)"
+    grid = read(tmp_path, HEAD + CUBE.replace("));", f") {more});") + blocks % tuple(zones.split()))
+    assert " ".join(grid.components) == components
+
+
 def test_cases_are_read_by_folder_and_by_foam_file(tmp_path):
     (tmp_path / "system").mkdir()
     with pytest.raises(FormatError, match="has no system/blockMeshDict"):
@@ -267,6 +325,8 @@ def test_cases_are_read_by_folder_and_by_foam_file(tmp_path):
     (tmp_path / "system/blockMeshDict").write_text(HEAD + ONE)
     (tmp_path / "case.foam").write_text("")
     assert read_grid(tmp_path).shapes == read_grid(tmp_path / "case.foam").shapes == ((5, 4, 3),)
+    for start in ("", "\n ", "// x\n", "/* x */ ", "scale 1;", "convertToMeters 1;"):
+        assert read(tmp_path, start + ONE).shapes == ((5, 4, 3),)
 
 
 def hermite(points: list[list[float]], smooth: bool, at: np.ndarray) -> np.ndarray:
@@ -291,6 +351,7 @@ THROUGH = "((0.25 0.5 0.1) (0.5 0.25 -0.1))"
 
 EDGES = {
     f"polyLine 0 1 {THROUGH}": hermite(WAY, False, AT),
+    f"polyLine 0 1 {THROUGH} line 0 1 line 1 0": hermite(WAY, False, AT),
     f"spline 0 1 {THROUGH}": hermite(WAY, True, AT),
     "spline 1 0 ((0.5 0.25 -0.1) (0.25 0.5 0.1))": hermite(WAY, True, AT),
 }

@@ -25,8 +25,6 @@ from cgns_witness import (
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError, FormatError
-from meshdeform_core.grid.connections import check_connections
-from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 from meshdeform_formats.cgns.adf import read_adf
 from meshdeform_formats.cgns.tree import Node
@@ -68,7 +66,7 @@ def overset(*kinds: str) -> N:
 
 
 OTHER_CELLS = replace(good(), data=np.array([SHAPE, (3, 2, 5), (0, 0, 0)], "i4").T)
-AT_FACES = N("GridLocation", "GridLocation_t", "IFaceCenter")
+AT_FACES, AT_ENDS = (N("GridLocation", "GridLocation_t", f"{letter}FaceCenter") for letter in ("I", ""))
 X, Y, Z = array("CoordinateX"), array("CoordinateY"), array("CoordinateZ")
 RADIUS, THETA = array("CoordinateR"), array("CoordinateTheta")
 JOIN = one_to_one("join", "z", [[1, 1, 1], [1, 3, 5]], [[4, 1, 1], [4, 3, 5]])
@@ -90,6 +88,7 @@ def joined(child: N) -> N:
         (tree(sized(4, 3, 5, dtype="f8")), "holds 3 x 3 R8 values; expected 3 x 3 integers"),
         (tree(OTHER_CELLS), r"zone z has \[4, 3, 5\] nodes but \[3, 2, 5\] cells; expected one cell less"),
         (tree(zone("z", box(4, 1, 1))), "4 x 1 x 1 nodes: it is a curve in the base Base, whose zones are volumes"),
+        (tree(good(), zone("s", box(4, 3, 1))), "zone s has 4 x 3 x 1 nodes: it is a surface in the base Base, whose"),
         (tree(sized(4, 0, 5)), r"zone z has \[4, 0, 5\] nodes"),
         (tree(sized(4, 3, 6)), r"CoordinateX of zone z has \(4, 3, 5\) values; the zone has \(4, 3, 6\) nodes"),
         (tree(good().without("GridCoordinates")), "zone z has no GridCoordinates_t"),
@@ -105,6 +104,7 @@ def joined(child: N) -> N:
         (tree(boundary([[1, 1, 1], [1, 3, 6]])), r"PointRange has the index \[1, 3, 6\]; zone z ends at \[4, 3, 5\]"),
         (tree(boundary([[0, 1, 1], [0, 3, 5]])), r"has the index \[0, 1, 1\]"),
         (tree(boundary([[1, 1, 1], [1, 3, 5]], AT_FACES)), r"wall/PointRange has .* \[4, 2, 4\]"),
+        (tree(boundary([[1, 1, 5], [4, 3, 5]], AT_ENDS)), r"has the index \[4, 3, 5\]; zone z ends at \[3, 2, 5\]"),
         (tree(boundary([[1, 1, 1], [9, 1, 1]], point_set="PointList")), r"PointList has the index \[9, 1, 1\]"),
         (tree(boundary([[1, 1, 1]] * 3)), "holds 3 x 3 I4 values; expected 3 x 2 integers"),
         (tree(connected(JOIN.without("PointRangeDonor"))), "the connection /Base/z/.*/join has no PointRangeDonor"),
@@ -135,6 +135,8 @@ def test_overset_beside_other_connectivity_is_an_ordinary_grid(tmp_path):
     assert not grid.overset
     said = "connectivity is kept in the file but not used; coincident nodes stay joined"
     assert grid.notes == (f"Overset {said}: a/g0", f"Abutting1to1 {said}: a/g1")
+    alone = read_grid(write_hdf5(tmp_path / "one.cgns", tree(connected(N("holes", "OversetHoles_t")))))
+    assert (alone.overset, alone.notes) == (False, (f"Overset {said}: z/holes",))
 
 
 def no_base(file):
@@ -214,14 +216,6 @@ def test_a_missing_solution_is_noted(tmp_path):
     root["Base"]["left"].children.append(N("FlowSolution#1", "", link=NOWHERE))
     grid = read_grid(write_hdf5(tmp_path / "a.cgns", root))
     assert "broken links are kept as they are: left/FlowSolution#1 -> gone.cgns:/Base/somewhere" in grid.notes
-
-
-def test_a_zone_joined_with_itself_at_one_place_is_named(tmp_path):
-    same = [[1, 1, 1], [1, 3, 5]]
-    grid = read_grid(write_hdf5(tmp_path / "self.cgns", tree(connected(one_to_one("idle", "z", same, same)))))
-    assert check_connections(grid, find_topology(grid)) == [
-        "connection 'idle' of z with z: it joins the nodes of one face with themselves and has no effect"
-    ]
 
 
 def assert_same(node: Node, expected: N) -> None:
@@ -328,7 +322,8 @@ X = "/Base/left/GridCoordinates/CoordinateX"
     [
         (put(32, b"AdfX"), "tags"),
         (put(25, b"C"), "ADF version C02011; known are"),
-        (put(100, b"C"), "format 'C'"),
+        (put(100, b"N"), "format 'N'"),
+        (put(112, b"10"), r"char, short, int, long, float and double of \[1, 2, 4, 16, 4, 8\] bytes"),
         (put(110, b"08"), "char, short, int, long, float and double of"),
         (put(106, b"zz"), "hexadecimal"),
         (put(134, b"FFFFFFFF0000"), "probably truncated"),

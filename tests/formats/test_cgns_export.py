@@ -1,5 +1,7 @@
 """New CGNS files from grids of other formats or made in memory, checked by cgnscheck, vtk and our own reader."""
 
+import itertools
+import math
 from dataclasses import replace
 
 import h5py
@@ -88,25 +90,29 @@ def test_periodic_connections_and_their_way_back(tmp_path, periodic):
     assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
 
 
-def test_fields_become_flow_solutions(tmp_path):
+# Types of fields, their largest values here, and the types in which CGNS holds them.
+TYPES = [("?", 1, "i4"), ("i2", 2**15 - 1, "i4"), ("i4", 2**31 - 1, "i4"), ("u4", 2**32 - 1, "i8"), ("i8", 2**62, "i8"),
+         ("f2", 9, "f8"), ("f4", 1e30, "f4"), (">f8", 1e300, "f8")]  # fmt: skip
+ENDS = {(): [""], (2,): ["X", "Y"], (3,): ["X", "Y", "Z"], (3, 3): [str(n) for n in range(1, 10)]}
+
+
+@pytest.mark.parametrize(("kind", "largest", "stored"), TYPES)
+def test_fields_become_flow_solutions(tmp_path, kind, largest, stored):
     grid = two_blocks()
-    rng = np.random.default_rng(1)
-    fields = (
-        Field("iblank", "node", 0, rng.integers(-3, 2, (4, 3, 5), dtype=np.int32)),
-        Field("velocity", "node", 0, rng.normal(size=(4, 3, 5, 3))),
-        Field("stress", "node", 0, rng.normal(size=(4, 3, 5, 3, 3)).astype(np.float32)),
-        Field("pressure", "cell", 1, rng.normal(size=(2, 2, 4)).astype(np.float32)),
-        Field("flag", "cell", 1, rng.integers(0, 2, (2, 2, 4)).astype(bool)),
-    )
-    write_grid(replace(grid, fields=fields), tmp_path / "new.cgns")
+    places = [("node", 0, (4, 3, 5), "left/FlowSolutionVertex"), ("cell", 1, (2, 2, 4), "right/FlowSolutionCellCenter")]
+    fields = {}
+    for (location, block, shape, place), rest in itertools.product(places, ENDS):
+        values = np.linspace(0, largest, math.prod(shape + rest)).reshape(*shape, *rest).astype(kind)
+        fields[place, rest] = Field(f"f{len(rest)}{sum(rest)}", location, block, values)
+    write_grid(replace(grid, fields=tuple(fields.values())), tmp_path / "new.cgns")
     with h5py.File(tmp_path / "new.cgns") as file:
-        nodes, cells = file["Base/left/FlowSolutionVertex"], file["Base/right/FlowSolutionCellCenter"]
-        np.testing.assert_array_equal(nodes["iblank/ data"][()].T, fields[0].values)
-        np.testing.assert_array_equal(nodes["velocityY/ data"][()].T, fields[1].values[..., 1])
-        np.testing.assert_array_equal(nodes["stress9/ data"][()].T, fields[2].values[..., 2, 2])
-        np.testing.assert_array_equal(cells["pressure/ data"][()].T, fields[3].values)
-        np.testing.assert_array_equal(cells["flag/ data"][()].T, fields[4].values)
-        assert cells["GridLocation/ data"][()].tobytes() == b"CellCenter"
+        for (place, rest), field in fields.items():
+            assert place.endswith(file[f"Base/{place}/GridLocation/ data"][()].tobytes().decode())
+            for number, end in enumerate(ENDS[rest]):
+                found = file[f"Base/{place}/{field.name}{end}/ data"]
+                assert found.dtype == stored
+                wanted = field.values.reshape(*field.values.shape[:3], -1)[..., number]
+                np.testing.assert_array_equal(found[()].T, wanted)
         assert list(file["Base/left"])[3:] == ["FlowSolutionVertex", "ZoneBC", "ZoneGridConnectivity"]
     np.testing.assert_array_equal(read_grid(tmp_path / "new.cgns").points, grid.points)
     assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
@@ -130,7 +136,7 @@ def test_fields_of_another_shape_are_refused(location, shape, source, tmp_path):
 def test_two_dimensional_grids(tmp_path, flat, in_plane):
     """The axis of a single node disappears, whichever it is."""
     plane = box(4, 3, 1)[:, :, 0]
-    plane[..., 2] = 0.0 if in_plane else plane[..., 0] ** 2
+    plane[..., 2] = 0.0 if in_plane else -(plane[..., 0] ** 2)
     block = np.expand_dims(plane, flat)
     kept = [axis for axis in range(3) if axis != flat]
     side = Side(2 * kept[0] + 1)
@@ -150,13 +156,14 @@ def test_two_dimensional_grids(tmp_path, flat, in_plane):
     )
     write_grid(grid, tmp_path / "new.cgns")
     again = read_grid(tmp_path / "new.cgns")
-    assert again.shapes == ((4, 3, 1),)
+    assert (again.shapes, again.notes) == (((4, 3, 1),), ())
     np.testing.assert_array_equal(again.block(0)[:, :, 0], plane)
     (out,) = again.patches
     assert (out.name, out.windows) == ("out", (Window(0, Side.IMAX, (0, 0), (2, 0)),))
     assert again.connections[0] == Connection("c", 0, (3, 0, 0), (3, 2, 0), 0, (0, 0, 0), (0, 2, 0), (1, 2, 3))
     with h5py.File(tmp_path / "new.cgns") as file:
         assert file["Base/ data"][()].tolist() == [2, 2 if in_plane else 3]
+        assert list(file["Base/block1/ZoneBC/out"]) == [" data", "PointRange"]
         np.testing.assert_array_equal(file["Base/block1/FlowSolutionVertex/v/ data"][()].T, values.squeeze())
     assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
 

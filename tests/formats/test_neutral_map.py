@@ -10,7 +10,6 @@ from grids import joined_nodes, transform_matrix, whole_face
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
-from meshdeform_formats import plot3d
 from meshdeform_formats.neutral_map import read_neutral_map, write_neutral_map
 
 
@@ -31,46 +30,15 @@ def gap(grid: Grid, connection: Connection) -> float:
     return float(np.abs(nodes - donors).max())
 
 
-def test_c_grid_and_its_cut(third_party):
-    grid = read_neutral_map(third_party / "nak_a_141.nmf", plot3d.read(third_party / "nak_a_141.p3dfmt"))
-    names = "symmetry_y-1 symmetry_y-2 farfield_riem-1 farfield_riem-2 viscous_solid-1 farfield_riem-3"
-    assert " ".join(patch.name for patch in grid.patches) == names
-    wall = Window(0, Side.KMIN, (0, 38), (1, 102))
-    assert grid.patches[4] == Patch("viscous_solid-1", (wall,), "viscous_solid", "viscous_solid")
-    (cut,) = grid.connections
-    # The CGNS file of the same grid has the same transform.
-    assert (cut.transform, cut.begin, cut.donor_begin) == ((1, -2, -3), (0, 0, 0), (0, 140, 0))
-    assert gap(grid, cut) == 0.0
-    assert grid.notes == ()
-
-
-def test_block_numbers_that_are_all_1(third_party):
-    grid = read_neutral_map(third_party / "backstep5_4levdn.nmf", plot3d.read(third_party / "backstep5_4levdn.p3dbin"))
-    assert "block numbers [1, 1, 1, 1] are not 1 to 4; taken in file order" in grid.notes[0]
-    assert [(c.block, c.donor_block) for c in grid.connections] == [(0, 1), (1, 2), (2, 3)]
-    assert [gap(grid, connection) for connection in grid.connections] == [0.0, 0.0, 0.0]
-    assert len(grid.patches) == 21
-    step = next(patch for patch in grid.patches if patch.name == "viscous_solid-9")
-    assert step.windows == (Window(2, Side.JMIN, (0, 0), (1, 24)),)
-
-
-def test_map_of_the_3d_sibling_of_a_2d_grid(third_party):
-    grid = read_neutral_map(third_party / "shear_3blk.nmf", plot3d.read(third_party / "shear_3blk_2d.p2dfmt"))
-    assert "6 entries lie on the plane of the 2-D grid itself and are ignored" in grid.notes[0]
-    assert [gap(grid, connection) for connection in grid.connections] == [0.0, 0.0]
-    windows = {patch.name: patch.windows for patch in grid.patches}
-    assert windows["subsonic_inflow_pt-1"] == (Window(0, Side.IMIN, (0, 0), (16, 0)),)
-    assert windows["viscous_solid-1"] == (Window(1, Side.JMIN, (0, 0), (8, 0)),)
-    assert windows["viscous_solid-2"] == (Window(0, Side.JMAX, (0, 0), (8, 0)),)
-    assert len(windows) == 9
-
-
 # Face number: constant index, whether at its end, primary and secondary index.
 FACES = {1: (2, 0, 0, 1), 2: (2, 1, 0, 1), 3: (0, 0, 1, 2), 4: (0, 1, 1, 2), 5: (1, 0, 2, 0), 6: (1, 1, 2, 0)}
 
 
-def neighbours(face: int, donor_face: int, swap: bool, flips: tuple[bool, bool]) -> tuple[np.ndarray, np.ndarray, str]:
-    """Two blocks of one unit lattice that share a face, the second one turned, and the entry that says so."""
+def neighbours(
+    face: int, donor_face: int, swap: bool, back: bool, flips: list[bool]
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Two blocks of one unit lattice that share a face, the second one turned, and the entry that says so, with the
+    primary index of the first block ascending or ``back``."""
     axis, far, *tangential = FACES[face]
     donor_axis, donor_far, *donor_tangential = FACES[donor_face]
     shape = np.zeros(3, int)
@@ -81,16 +49,18 @@ def neighbours(face: int, donor_face: int, swap: bool, flips: tuple[bool, bool])
     shifted = lattice(*shape) + np.eye(3)[axis] * (2 if far else -2)
     donor = np.transpose(shifted, [leads[0], leads[1], leads[2], 3])
     donor = np.flip(donor, [index for index, lead in leads.items() if flipped[lead]])
-    first = [f"1 {shape[index]}" for index in tangential]
-    second = [f"{shape[leads[i]]} 1" if flipped[leads[i]] else f"1 {shape[leads[i]]}" for i in donor_tangential]
+    turned = {tangential[0]: back, tangential[1]: False}
+    first = [f"{shape[i]} 1" if turned[i] else f"1 {shape[i]}" for i in tangential]
+    reached = [(shape[leads[i]], flipped[leads[i]] != turned[leads[i]]) for i in donor_tangential]
+    second = [f"{n} 1" if descending else f"1 {n}" for n, descending in reached]
     return lattice(*shape), donor, " ".join(["1", str(face), *first, "2", str(donor_face), *second, str(swap)])
 
 
 @pytest.mark.parametrize("face", FACES)
 @pytest.mark.parametrize("donor_face", FACES)
 def test_all_ways_two_faces_can_meet(tmp_path, face, donor_face):
-    for swap, *flips in itertools.product((False, True), repeat=3):
-        block, donor, entry = neighbours(face, donor_face, swap, (flips[0], flips[1]))
+    for swap, back, *flips in itertools.product((False, True), repeat=4):
+        block, donor, entry = neighbours(face, donor_face, swap, back, flips)
         bare = Grid.from_blocks([block, donor])
         sizes = [f"{n} {' '.join(map(str, b.shape[:3]))}" for n, b in ((1, block), (2, donor))]
         grid = read_neutral_map(put(tmp_path, "2", *sizes, f"ONE_TO_ONE {entry}"), bare)
@@ -114,10 +84,11 @@ def test_quotes_comments_flags_and_types_with_two_faces(tmp_path):
         "Patched 1 2 1 3 1 4 2 1 1 3 1 4",
         "WALL 1 5 1 5 1 3 # not the same word",
     )
-    grid = read_neutral_map(path, Grid.from_blocks([lattice(3, 4, 5), lattice(3, 4, 6)]))
-    assert [patch.name for patch in grid.patches] == ["viscous solid-1", "wall-1", "Patched-1", "WALL-1"]
-    assert grid.patches[1].windows == (Window(1, Side.IMAX, (0, 1), (3, 5)),)
-    assert grid.patches[2].windows == (Window(0, Side.KMAX, (0, 0), (2, 3)), Window(1, Side.KMIN, (0, 0), (2, 3)))
+    known = Patch("mine", (Window(0, Side.JMAX, (0, 0), (2, 4)),), "wall")
+    grid = read_neutral_map(path, Grid.from_blocks([lattice(3, 4, 5), lattice(3, 4, 6)], patches=(known,)))
+    assert [patch.name for patch in grid.patches] == ["mine", "viscous solid-1", "wall-2", "Patched-1", "WALL-1"]
+    assert grid.patches[2].windows == (Window(1, Side.IMAX, (0, 1), (3, 5)),)
+    assert grid.patches[3].windows == (Window(0, Side.KMAX, (0, 0), (2, 3)), Window(1, Side.KMIN, (0, 0), (2, 3)))
     assert grid.connections == ()
     write_neutral_map(grid, tmp_path / "out.nmf")
     text = (tmp_path / "out.nmf").read_text()
@@ -128,7 +99,7 @@ def test_quotes_comments_flags_and_types_with_two_faces(tmp_path):
 
 
 def test_edges_and_faces_of_a_2d_grid(tmp_path):
-    lines = ("1", "1 9 4 1", "FARFIELD 1 1 1 4 1 1", "FARFIELD 1 2 1 4 1 1", "VISCOUS 1 3 3 7 1 1  TRUE")
+    lines = ("1", "7 9 4 1", "FARFIELD 1 1 1 4 1 1", "FARFIELD 1 2 1 4 1 1", "VISCOUS 1 3 3 7 1 1  TRUE")
     lines += ("FARFIELD 1 4 1 9 1 1", "ONE_TO_ONE 1 3 1 3 1 1 1 3 9 7 1 1 FALSE")
     grid = read_neutral_map(put(tmp_path, *lines), Grid.from_blocks([lattice(9, 4, 1)]))
     assert [(patch.name, patch.windows[0]) for patch in grid.patches] == [
@@ -138,33 +109,41 @@ def test_edges_and_faces_of_a_2d_grid(tmp_path):
         ("FARFIELD-3", Window(0, Side.JMAX, (0, 0), (8, 0))),
     ]
     assert grid.connections[0].transform == (-1, -2, 3)
+    assert grid.notes[0].endswith("the block numbers [7] are not 1 to 1; taken in file order")
     with pytest.raises(FormatError, match="block 1 has 2x2x5 nodes, block1 of the grid has 2x5x1"):
         read_neutral_map(put(tmp_path, "1", "1 2 2 5"), Grid.from_blocks([lattice(2, 5, 1)]))
     assert (grid.connections[0].begin, grid.connections[0].donor_begin) == ((0, 0, 0), (8, 0, 0))
-    # Faces of the grid in space.
-    lines = ("1", "1 9 4 1", "symmetry 1 1 1 9 1 4", "symmetry 1 2 1 9 1 4", "wall 1 5 1 1 1 9", "inflow 1 3 1 4 1 1")
-    grid = read_neutral_map(put(tmp_path, *lines), Grid.from_blocks([lattice(9, 4, 1)]))
-    assert [patch.windows[0] for patch in grid.patches] == [
-        Window(0, Side.JMIN, (0, 0), (8, 0)),
-        Window(0, Side.IMIN, (0, 0), (3, 0)),
-    ]
-    assert "2 entries lie on the plane" in grid.notes[0]
+
+
+@pytest.mark.parametrize("layers", [1, 2])
+@pytest.mark.parametrize("dropped", range(3))
+@pytest.mark.parametrize("flat", range(3))
+def test_faces_in_space_of_a_plane_in_any_order_with_or_without_a_layer(tmp_path, flat, dropped, layers):
+    sizes, shape = (np.insert([9, 4], axis, n).tolist() for axis, n in ((dropped, layers), (flat, 1)))
+    faces = {n: f"1 {n} 1 {sizes[one]} 1 {sizes[two]}" for n, (_, _, one, two) in FACES.items()}
+    own = dict(zip(np.delete(range(3), dropped).tolist(), np.delete(range(3), flat).tolist(), strict=True))
+    sides = [Side(2 * own[axis] + far) for axis, far, *_ in FACES.values() if axis != dropped]
+    across, along = (next(n for n in FACES if (FACES[n][0] == dropped) == wanted) for wanted in (True, False))
+    entries = [f"wall {face}" for face in faces.values()] + [f"Patched {faces[across]} {faces[along]}"]
+    lines = "1", f"1 {sizes[0]} {sizes[1]} {sizes[2]}", *entries
+    grid = read_neutral_map(put(tmp_path, *lines), Grid.from_blocks([lattice(*shape)]))
+    assert [patch.windows for patch in grid.patches] == [(whole_face(tuple(shape), 0, side),) for side in sides]
+    assert grid.notes[0].endswith(": 3 entries lie on the plane of the 2-D grid itself and are ignored")
 
 
 def test_connections_of_both_blocks_and_periodic_ones_are_written(tmp_path):
     blocks = [lattice(3, 4, 5), lattice(2, 4, 5, origin=(2.0, 0.0, 0.0))]
     there = Connection("a", 0, (2, 0, 0), (2, 3, 4), 1, (0, 0, 0), (0, 3, 4), (1, 2, 3))
-    back = Connection("b", 1, (0, 0, 0), (0, 3, 4), 0, (2, 0, 0), (2, 3, 4), (1, 2, 3))
+    back = Connection("b", 1, (0, 3, 0), (0, 0, 4), 0, (2, 3, 0), (2, 0, 4), (1, 2, 3))
     around = Connection("c", 0, (0, 0, 0), (0, 3, 4), 1, (1, 0, 0), (1, 3, 4), (1, 2, 3), Periodicity())
-    grid = Grid.from_blocks(blocks, connections=(there, back, around), patches=(Patch("my wall", (), "", ""),))
+    walls = [whole_face((3, 4, 5), 0, side) for side in (Side.KMIN, Side.KMAX)]
+    grid = Grid.from_blocks(blocks, connections=(there, back, around), patches=(Patch("a 'b'\t#\\", tuple(walls)),))
     write_neutral_map(grid, tmp_path / "out.nmf")
     read = read_neutral_map(tmp_path / "out.nmf", Grid.from_blocks(blocks))
     assert [(c.block, c.begin, c.transform) for c in read.connections] == [(0, (2, 0, 0), (1, 2, 3))]
-    assert [patch.windows[0] for patch in read.patches] == [
-        whole_face((3, 4, 5), 0, Side.IMIN),
-        whole_face((2, 4, 5), 1, Side.IMAX),
-    ]
-    assert {patch.bc_type for patch in read.patches} == {"periodic"}
+    ends = whole_face((3, 4, 5), 0, Side.IMIN), whole_face((2, 4, 5), 1, Side.IMAX)
+    assert [patch.windows for patch in read.patches] == [(window,) for window in (*walls, *ends)]
+    assert [patch.bc_type for patch in read.patches] == ["a_b_", "a_b_", "periodic", "periodic"]
 
 
 BAD = {
@@ -177,6 +156,7 @@ BAD = {
     "too few numbers": (["1", "1 3 4 5", "wall 1 1 1 3 1"], "line 4: wall has 5 numbers; a face range has 6"),
     "a word among the numbers": (["1", "1 3 4 5", "wall 1 kmin 1 3 1 4"], "line 4: expected after the type .*'1 kmin"),
     "unknown block": (["1", "1 3 4 5", "wall 2 1 1 3 1 4"], "line 4: block 2 does not exist; .* blocks 1 to 1"),
+    "block 0": (["1", "1 3 4 5", "wall 0 1 1 3 1 4"], "line 4: block 0 does not exist"),
     "unknown face": (["1", "1 3 4 5", "wall 1 7 1 3 1 4"], "line 4: face 7 does not exist; faces are 1 to 6"),
     "range too large": (
         ["1", "1 3 4 5", "wall 1 5 1 6 1 3"],

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from grids import block_around
-from poly_mesh_witness import check_mesh, read_mesh, read_points, run_foam
+from poly_mesh_witness import check_mesh, read_mesh, read_points
 
 from meshdeform_cli.main import run
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
-from meshdeform_core.grid.faces import thin_direction
-from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.openfoam.foam_files import write_points
@@ -25,9 +23,6 @@ THIRD_PARTY = (
     "717_wl_L2.cgns", "nak_a_141.cgns", "nak_a_141.p3dfmt", "cylinder_ring_4blk.x", "backstep5_4levdn.p3dbin",
     "shear_3blk_2d.p2dfmt", "StructuredGrid.vts", "SampleStructGrid.vtk", "turek/blockMeshDict",
 )  # fmt: skip
-MAPS = {"nak_a_141.p3dfmt": "nak_a_141.nmf", "backstep5_4levdn.p3dbin": "backstep5_4levdn.nmf",
-        "shear_3blk_2d.p2dfmt": "shear_3blk.nmf"}  # fmt: skip
-VARIANTS = [{"encoding": "ascii"}, {"encoding": "binary"}]
 CASE = """
 [[boundary]]
 name = "top"
@@ -57,67 +52,54 @@ def box(*counts: int) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", THIRD_PARTY)
-def test_third_party_grids_are_sound_meshes_at_all_times(name, third_party, tmp_path):
-    """Every boundary node moves: a wave along x, of the size of the grid, in the plane of those of one layer."""
+def test_third_party_grids_are_sound_meshes(name, third_party, tmp_path):
     grid = read_grid(third_party / name)
-    low, high = extent(grid.points)
-    size, thin = float((high - low).max()), thin_direction(grid)
-    wave = f"'0.005*{size!r}*t*sin(4*(x - ({float(low[0])!r}))/{size!r})'"
-    along = f"'0', '0', {wave}" if thin is not None and abs(thin[1]) > 0.9 else f"'0', {wave}, '0'"
-    entry = f"select = ['*']\nmotion = [{{ displace = [{along}] }}]\n"
-    (tmp_path / "case.toml").write_text(f"[[boundary]]\n{entry}")
-    out = tmp_path / "out"
-    command = ["series", str(third_party / name), "-c", str(tmp_path / "case.toml"), "--times", "0:1:0.5", "-q"]
-    command += ["--boundary-file", str(third_party / MAPS[name])] if name in MAPS else []
-    command += [
-        word for pair in VARIANTS[THIRD_PARTY.index(name) % 2].items() for word in ("--variant", "=".join(pair))
-    ]
-    assert run([*command, "--suffix", ".foam", "-o", str(out)]) == 0
-    for time in ("0", "0.5", "1"):
-        mesh = read_mesh(out, out / time / "polyMesh/points")
-        assert int(mesh.owner.max()) + 1 == grid.n_cells
-        if grid.dimension == 3 and time == "0":
-            total = np.abs(block_volumes(grid, grid.points, np.ones(grid.n_blocks))).sum()
-            assert mesh.volumes().sum() == pytest.approx(total, rel=1e-9)
-    said = check_mesh(out)
-    assert said.count("Time = ") == 3
+    write_grid(grid, tmp_path / "case.foam")
+    mesh = read_mesh(tmp_path)
+    assert int(mesh.owner.max()) + 1 == grid.n_cells
+    if grid.dimension == 3:
+        total = np.abs(block_volumes(grid, grid.points, np.ones(grid.n_blocks))).sum()
+        assert mesh.volumes().sum() == pytest.approx(total, rel=1e-9)
     # Thin cells, to which checkMesh objects where they lie along an axis.
-    flaws = [line for line in said.splitlines() if "***" in line]
-    thin = name.startswith(("backstep", "717")) and all("***High aspect ratio" in line for line in flaws)
-    assert not flaws or thin, flaws
-    assert said.count("Mesh OK.") == 3 - len(flaws)
+    flaws = [line for line in check_mesh(tmp_path).splitlines() if "***" in line]
+    assert not flaws or (name.startswith(("backstep", "717")) and all("***High aspect ratio" in line for line in flaws))
 
 
 def test_patches_are_families_with_their_types(tmp_path):
     window = {side: Window(0, side, (0, 0), (3, 3)) for side in Side}
-    grid = Grid.from_blocks([box(3, 3, 3)], patches=(
+    x = box(3, 3, 3)
+    x[:, 0, :, 1] -= x[:, 0, :, 0] ** 2
+    grid = Grid.from_blocks([x], patches=(
         Patch("a", (window[Side.IMIN],), "skin", "BCWallViscous"), Patch("b", (window[Side.IMAX],), "skin"),
-        Patch("mirror", (window[Side.JMIN],), "", "BCSymmetryPlane"), Patch("a b;c", (window[Side.JMAX],)),
-        Patch("_z", (window[Side.KMIN],)), Patch("z_", (window[Side.KMAX],)),
+        Patch("curved", (window[Side.JMIN],), "", "BCSymmetryPlane"),
+        Patch("mirror", (window[Side.JMAX],), "", "BCSymmetryPlane"), Patch("a b;c", (window[Side.KMIN],)),
+        Patch("_z", (Window(0, Side.KMAX, (0, 0), (3, 1)),)), Patch("z_", (Window(0, Side.KMAX, (0, 1), (3, 3)),)),
     ))  # fmt: skip
     write_grid(grid, tmp_path / "case.foam")
     assert {name: (e["type"], e["nFaces"]) for name, e in read_mesh(tmp_path).patches.items()} == {
-        "skin": ("wall", "18"), "mirror": ("symmetryPlane", "9"), "a_b_c": ("patch", "9"),
-        "_z": ("patch", "9"), "z_": ("patch", "9"),
+        "skin": ("wall", "18"), "curved": ("symmetry", "9"), "mirror": ("symmetryPlane", "9"),
+        "a_b_c": ("patch", "9"), "_z": ("patch", "3"), "z_": ("patch", "6"),
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(("condition", "kind"), [("", "empty"), ("BCWall", "wall")])
-def test_one_layer_is_a_plane_grid_unless_it_is_between_walls(condition, kind, tmp_path):
+@pytest.mark.parametrize(("condition", "bend", "kind"), [("", 0, "empty"), ("BCWall", 0, "wall"), ("", 0.1, "patch")])
+def test_one_layer_is_a_plane_grid_unless_it_is_bent_or_between_walls(condition, bend, kind, tmp_path):
+    x = box(3, 3, 1)
+    x[..., 2] += bend * x[..., 0] ** 2
     ends = [Patch(side.label, (Window(0, side, (0, 0), (3, 3)),), "", condition) for side in (Side.KMIN, Side.KMAX)]
-    write_grid(Grid.from_blocks([box(3, 3, 1)], patches=tuple(ends)), tmp_path / "case.foam")
+    write_grid(Grid.from_blocks([x], patches=tuple(ends)), tmp_path / "case.foam")
     assert [read_mesh(tmp_path).patches[end.name]["type"] for end in ends] == [kind, kind]
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_cyclic_faces_correspond(turned, tmp_path):
+@pytest.mark.parametrize(("turned", "rise"), [(False, 0.0), (True, 0.0), (True, 0.3)])
+def test_cyclic_faces_correspond(turned, rise, tmp_path):
     """Face by face, and corner by corner in opposite order."""
     x = box(3, 4, 2)
     center, angle, shift = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     if turned:
         radius, phi = 1 + x[..., 0], 0.7 * x[..., 1]
-        x = np.stack([radius * np.cos(phi), radius * np.sin(phi), x[..., 2]], axis=-1)
-        angle, shift = (0.0, 0.0, float(np.degrees(0.7))), (0.0, 0.0, 0.0)
+        x = np.stack([radius * np.cos(phi), radius * np.sin(phi), x[..., 2] + rise * x[..., 1]], axis=-1)
+        angle, shift = (0.0, 0.0, float(np.degrees(0.7))), (0.0, 0.0, rise)
     motion = Periodicity(center, angle, shift)
     ends = Connection("p", 0, (0, 0, 0), (3, 0, 2), 0, (0, 4, 0), (3, 4, 2), (1, 2, 3), motion)
     write_grid(Grid.from_blocks([x], connections=(ends,)), tmp_path / "case.foam", {"encoding": "ascii"})
@@ -132,7 +114,24 @@ def test_cyclic_faces_correspond(turned, tmp_path):
         np.testing.assert_allclose(p + np.array(shift), q, atol=1e-12)
     ways = ["(0.0 1.0 0.0)", "(0.0 -1.0 0.0)"]
     assert [mesh.patches[name].get("separationVector") for name in pair] == ([None, None] if turned else ways)
+    kind = "unknown" if rise else "rotational" if turned else "translational"
+    assert [mesh.patches[name]["transform"] for name in pair] == [kind, kind]
     assert "Mesh OK." in check_mesh(tmp_path)
+
+
+def test_periodic_connections_of_plane_blocks_that_lack_different_indices(tmp_path):
+    x, y = np.meshgrid(np.arange(6.0), np.arange(3.0), indexing="ij")
+    plane = np.stack([x, y, 0 * x], axis=-1)
+    motion = Periodicity(translation=(5.0, 0.0, 0.0))
+    around = Connection("p", 0, (0, 0, 0), (0, 0, 2), 1, (2, 0, 0), (2, 2, 0), (1, 3, 2), motion)
+    grid = Grid.from_blocks([plane[:4, None], plane[3:, :, None]], connections=(around,))
+    write_grid(grid, tmp_path / "case.foam", {"thickness": 0.5})
+    cyclic = [entries for entries in read_mesh(tmp_path).patches.values() if entries["type"] == "cyclic"]
+    assert [entries["separationVector"] for entries in cyclic] == ["(5.0 0.0 0.0)", "(-5.0 0.0 0.0)"]
+    assert [entries["nFaces"] for entries in cyclic] == ["2", "2"]
+    for thickness in ("0", "-1", "x", "1e30"):
+        with pytest.raises(FormatError, match=f"thickness = '{thickness}'; expected a length"):
+            write_grid(grid, tmp_path / "case.foam", {"thickness": thickness})
 
 
 def test_collapsed_hexahedra_are_prisms_and_pyramids(tmp_path):
@@ -148,6 +147,14 @@ def test_collapsed_hexahedra_are_prisms_and_pyramids(tmp_path):
         corners = {len(np.union1d(mesh.corners[mesh.owner == c], inside[mesh.neighbour == c])) for c in range(27)}
         assert corners == ({8, 6} if number == 0 else {8, 5})
         assert "Mesh OK." in check_mesh(case)
+
+
+@pytest.mark.parametrize(("one", "two"), [((0, 0, 1), (1, 1, 1)), ((1, 0, 1), (0, 1, 1))])
+def test_faces_through_one_point_twice_are_refused(one, two, tmp_path):
+    x = box(1, 1, 2)
+    x[one] = x[two]
+    with pytest.raises(FormatError, match=r"1 cell faces pass through one point twice, the first \[\d"):
+        write_grid(Grid.from_blocks([x]), tmp_path / "case.foam")
 
 
 def test_left_handed_blocks_and_rings(tmp_path):
@@ -219,6 +226,30 @@ def test_a_mesh_that_is_not_that_of_the_dictionary_is_refused(tmp_path):
         read_grid(tmp_path)
 
 
+DAMAGE = [
+    ("faces", r"4\((\d+) (\d+) \d+ \d+\)", r"2(\1 \2)", "faces need three or more corners"),
+    ("faces", r"\n4\(", r"\n5(", "the sizes of its 131 faces do not fit"),
+    ("faces", r"4\(\d+ ", "4(84 ", "faces has numbers from 0 to 84, expected 0 to 83"),
+    ("faces", r"4\((\d+) (\d+) ", r"4(\2 \1 ", "2 cells are not closed by the faces of"),
+    ("owner", r"\(\n0\n", r"(\n30\n", "owner has numbers from 0 to 30, expected 0 to 29"),
+    ("owner", r"131\n\(\n0\n", r"130\n(\n", "faces has 131 faces, owner 130 and neighbour 49"),
+    ("neighbour", r"\(\n1\n", r"(\n-1\n", "neighbour has numbers from -1 to 29, expected 0 to 29"),
+    ("boundary", r"startFace +\d+", "startFace 0", "top of boundary begins at face 0, expected 49; run blockMesh"),
+    ("boundary", r"nFaces +\d+", "nFaces -6", "patch top of boundary begins at face 49, expected 49"),
+    ("boundary", r"nFaces +60", "nFaces 59", "the patches of boundary end at face 130, expected 131"),
+]
+
+
+@pytest.mark.parametrize(("name", "old", "new", "message"), DAMAGE)
+def test_damaged_meshes_are_refused(name, old, new, message, tmp_path):
+    made_case(tmp_path, shuffled=False)
+    file = tmp_path / "constant/polyMesh" / name
+    head, end, rest = file.read_text().partition("}")
+    file.write_text(head + end + re.sub(old, new, rest, count=1))
+    with pytest.raises(FormatError, match=message):
+        read_grid(tmp_path)
+
+
 @pytest.mark.parametrize("dictionary", [DICTIONARY, FAR], ids=["near", "far"])
 def test_points_of_six_digits_are_found(dictionary, tmp_path):
     """Also where half a unit of the last digit is more than the tolerance of coincident nodes."""
@@ -245,22 +276,13 @@ def test_series_of_points(tmp_path, capsys):
         x, y, _ = mesh.points[top].T
         np.testing.assert_allclose(y, 1 + 0.2 * float(time) * x * (1 - x), atol=1e-14)
     assert "Mesh OK." in check_mesh(out)
-    shutil.rmtree(out / "1")
-    before = (out / "0.5/polyMesh/points").stat().st_mtime_ns
-    assert run([*arguments, "-o", str(out), "-q", "--resume"]) == 0
-    assert (out / "1/polyMesh/points").is_file()
-    assert (out / "0.5/polyMesh/points").stat().st_mtime_ns == before
     capsys.readouterr()
     assert run([*arguments, "-o", str(tmp_path / "v"), "--velocity", "first"]) == 2
     assert "omit --velocity" in capsys.readouterr().err
 
 
-STREAM = {"U": ("type fixedValue; value uniform (1 0.5 0);", "type zeroGradient;"),
-          "p": ("type zeroGradient;", "type fixedValue; value uniform 0;")}  # fmt: skip
-
-
 def test_a_solver_runs_on_the_points_of_a_series(tmp_path, monkeypatch):
-    """As the page says: it conserves mass, takes the points as they are, and a uniform flow stays uniform."""
+    """As the page says: it conserves mass and takes the points as they are."""
     if shutil.which("pimpleFoam") is None:
         pytest.skip("OpenFOAM is not installed")
     monkeypatch.chdir(tmp_path)
@@ -279,14 +301,6 @@ def test_a_solver_runs_on_the_points_of_a_series(tmp_path, monkeypatch):
     for time in ("0.25", "0.5", "0.75", "1"):
         known, found = (read_points(Path(case, time, "polyMesh/points")) for case in ("moving", "run"))
         np.testing.assert_allclose(found, known, rtol=0, atol=1e-15)
-    for name, (inlet, top) in STREAM.items():
-        text = (field := Path("run/0", name)).read_text().partition("boundaryField")[0].replace("0 0 0)", "1 0.5 0)")
-        field.write_text(f'{text}boundaryField {{ ".*" {{ {inlet} }} top {{ {top} }} sides {{ type empty; }} }}\n')
-    shutil.rmtree("run/1")
-    assert max(errors(run_foam("pimpleFoam", tmp_path / "run"))) < 1e-14
-    (inside,) = re.findall(r"(?s)internalField[^(]*\((.*?)\n\)", Path("run/1/U").read_text())
-    flow = np.array(re.sub(r"[()]", " ", inside).split(), dtype=float).reshape(-1, 3)
-    np.testing.assert_allclose(flow, np.broadcast_to([1, 0.5, 0], (200, 3)), rtol=0, atol=1e-12)
 
 
 def test_outputs_never_replace_inputs_or_other_meshes(tmp_path, capsys):
@@ -301,7 +315,7 @@ def test_outputs_never_replace_inputs_or_other_meshes(tmp_path, capsys):
     (new / "new.foam").unlink()
     assert run(["convert", str(box_file), f"{new}/"]) == 2
     assert "points exists; use --force" in capsys.readouterr().err
-    (new / "constant/polyMesh/cellZones").write_text("")
+    (new / "constant/polyMesh/cellZones.gz").write_text("")
     assert run(["convert", str(box_file), f"{new}/", "--force"]) == 2
     assert "cellZones of another mesh" in capsys.readouterr().err
     assert (new / "constant/polyMesh/points").read_bytes() == before

@@ -56,7 +56,6 @@ XML_VARIANTS = [
     (encoding, compression, ("UInt32", "UInt64")[(number + other) % 2], ("little", "big")[number % 2])
     for number, encoding in enumerate(("ascii", "binary", "appended", "appended-base64"))
     for other, compression in enumerate(map(str.upper, vtk_witness.COMPRESSIONS))
-    if encoding != "ascii" or compression == "NONE"
 ]
 
 
@@ -69,7 +68,7 @@ def test_every_variant_of_vts(tmp_path, rng, encoding, compression, header, byte
     assert grid.format.options == {
         "kind": "vts",
         "encoding": encoding,
-        "compression": compression.lower(),
+        "compression": "none" if encoding == "ascii" else compression.lower(),
         "byte_order": byte_order,
         "header_type": header,
     }
@@ -122,12 +121,12 @@ def test_global_ids_and_text(tmp_path, rng):
     vts = vtk_witness.structured_grid(rng.normal(size=(2, 2, 2, 3)))
     numbers = np.arange(8).reshape(2, 2, 2)
     vtk_witness.add_array(vts.GetPointData(), "ids", numbers, "GlobalIds")
-    vtk_witness.add_text(vts.GetFieldData(), "author", "somebody", "x" * 100)
+    vtk_witness.add_text(vts.GetFieldData(), "50 % mine", "somebody", "x" * 100)
     for path, write in ((tmp_path / "a.vts", vtk_witness.write_xml), (tmp_path / "a.vtk", vtk_witness.write_legacy)):
         write(path, vts)
         grid = read_grid(path)
         np.testing.assert_array_equal(grid.fields[0].values, numbers)
-        assert grid.notes == (("the text array 'author' is not kept",) if path.suffix == ".vtk" else ())
+        assert grid.notes == (("the text array '50 % mine' is not kept",) if path.suffix == ".vtk" else ())
     vtk_witness.write_legacy(tmp_path / "a.vtk", vts, binary=False)
     np.testing.assert_array_equal(read_grid(tmp_path / "a.vtk").fields[0].values, numbers)
 
@@ -137,7 +136,8 @@ def test_old_sections_of_legacy_files(tmp_path):
 by hand
 ascii
 dataset STRUCTURED_GRID
-FIELD FieldData 1
+FIELD FieldData 2
+NULL_ARRAY
 TIME 1 1 double
 0.5
 dimensions 2 2 1
@@ -153,6 +153,9 @@ LOOKUP_TABLE rainbow 1
 SCALARS flag bit
 LOOKUP_TABLE default
 1 0 0 1
+SCALARS pair int 2
+LOOKUP_TABLE default
+1 2 3 4 5 6 7 8
 TEXTURE_COORDINATES map 2 float
 0 0 1 0 0 1 1 1
 CELL_DATA 1
@@ -171,6 +174,7 @@ GLOBAL_IDS id vtkIdType
     assert fields["flow"].values.tolist() == [[[[1, 2, 3]]]]
     assert fields["id"].values.item() == 9_000_000_000
     assert fields["map"].values[1, 0, 0].tolist() == [1, 0]
+    assert fields["pair"].values[:, :, 0].tolist() == [[[1, 2], [5, 6]], [[3, 4], [7, 8]]]
     assert "lookup table 'rainbow'" in grid.notes[1]
     assert "no line end" in grid.notes[0]
 
@@ -278,6 +282,7 @@ def test_vtk_reads_what_we_write(tmp_path, name, options):
         Field("v", "node", 0, rng.normal(size=(*shape, 3)).astype("f4")),
         Field("t", "node", 0, rng.normal(size=(*shape, 9))),
         Field("map", "node", 0, rng.normal(size=(*shape, 2))),
+        Field("large", "node", 0, np.full(shape, 2**64 - 1, np.uint64)),
         Field("iblank", "node", 0, rng.integers(-1, 2, shape).astype(">i4")),
         Field("100 % mine", "cell", 0, rng.normal(size=(2, 3, 1))),
         Field("flag", "cell", 0, rng.integers(0, 2, (2, 3, 1)).astype(bool)),
@@ -289,19 +294,6 @@ def test_vtk_reads_what_we_write(tmp_path, name, options):
     assert len(arrays) == len(fields)
     for field in fields:
         np.testing.assert_array_equal(arrays[field.location, field.name], field.values)
-
-
-@pytest.mark.parametrize("name", ["SampleStructGrid.vtk", "StructuredGrid.vts"])
-def test_third_party_data_survive(third_party, tmp_path, name):
-    write_grid(read_grid(third_party / name), tmp_path / name)
-    points, arrays = vtk_witness.read(third_party / name)
-    again, kept = vtk_witness.read(tmp_path / name)
-    assert again.dtype == points.dtype
-    np.testing.assert_array_equal(again, points)
-    assert kept.keys() == arrays.keys()
-    for key, values in arrays.items():
-        assert kept[key].dtype == values.dtype
-        np.testing.assert_array_equal(kept[key], values)
 
 
 def test_variant_follows_the_input_only_for_the_same_kind(tmp_path):
@@ -337,6 +329,7 @@ def test_unknown_options(tmp_path, name, options, message):
     [
         ([Field("f", "node", 0, np.zeros((2, 2, 3)))], r"has shape \(2, 2, 3\); expected \(2, 2, 2\)"),
         ([Field("f", "cell", 0, np.zeros((2, 2, 2)))], r"cell field 'f' of block1 has shape"),
+        ([Field("f", "node", 0, np.zeros((2, 2, 2, 3, 3)))], r"expected \(2, 2, 2\) and at most one more axis"),
         ([Field("f", "node", 0, np.zeros((2, 2, 2), complex))], "is of type complex128"),
         ([Field("f", "node", 0, np.zeros((2, 2, 2), "f2"))], "is of type float16"),
         ([Field("f", "node", 0, np.zeros((2, 2, 2)))] * 2, "exists twice"),

@@ -52,17 +52,19 @@ def tree_of(data_set):
 def test_nested_sets_of_vtk(tmp_path, monkeypatch):
     a, b, c, d = blocks((2, 3, 4), (3, 3, 3), (2, 2, 2), (4, 2, 2))
     (tmp_path / "sub").mkdir()
+    a = a.astype(np.float32)
     tree = [("fluid", [("wing", a), ("tail", b), ("wing", a)]), (None, None), (None, c), ("wing", [(None, d)])]
+    tree.append((None, [("tip", b)]))
     writer = vtkXMLMultiBlockDataWriter()
     writer.SetInputData(vtk_set(tree))
     writer.SetFileName(str(tmp_path / "sub" / "set.vtm"))
     assert writer.Write()
     monkeypatch.chdir(tmp_path)
     grid = read_grid(Path("sub") / "set.vtm")
-    assert grid.names == ("fluid/wing", "fluid/tail", "fluid/wing_3", "block4", "wing/block5")
-    for index, points in enumerate((a, b, a, c, d)):
+    assert grid.names == ("fluid/wing", "fluid/tail", "fluid/wing_3", "block4", "wing/block5", "tip")
+    for index, points in enumerate((a, b, a, c, d, b)):
         np.testing.assert_array_equal(grid.block(index), points)
-    assert grid.format.options["kind"] == "vtm"
+    assert (grid.format.options["kind"], grid.precision) == ("vtm", "float64")
 
 
 def test_vtk_reads_our_set(tmp_path):

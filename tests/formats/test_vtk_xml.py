@@ -91,7 +91,7 @@ GOOD = {
     "extended by a comment": "<!-- a <!DOCTYPE in a comment -->" + ONE,
     "blanks around base64": one(array([], text=f"\n  {base64_array(PLANE)}\t\r\n ", format="binary")),
     "blank lines behind the end": ONE + "\n\r\n",
-    "raw": appended(RAW + b"\n \t\r\n"),
+    "raw": appended(RAW + b"\n \t\r\n") + b"\r\n\0\0",
     "base64": appended(base64.b64encode(RAW) + b"\n", "base64"),
     "a tag in the data": appended(b"</VTKFile><Piece &" + RAW, offset=18),
     "two blocks": appended(packed(PLANE.tobytes()[:100], PLANE.tobytes()[100:], sizes=(100, 44)), root=ZLIB),
@@ -131,9 +131,8 @@ BAD = {
     "an integer that does not fit": (
         one(array(PLANE), scalar([0, 0, 0, 0, 0, 256], kind="UInt8")), "p holds '256', expected uint8 numbers"
     ),
-    "an integer beyond 64 bits": (
-        one(array(PLANE), scalar([], kind="Int64", text=f"1 2 3 4 5 {2**63}")), "p holds '9223372036854775808'"
-    ),
+    **{f"the integer {n}": (one(array(PLANE), scalar([], kind="Int64", text=f"1 2 3 4 5 {n}")), f"p holds '{n}'")
+       for n in (2**63, -(2**63) - 1)},
     "a fraction for an integer": (one(array(PLANE), scalar([0, 0, 0, 0, 0, 0.5], kind="Int32")), "p holds '0.0'"),
     "two components of points": (one(array(PLANE, components=2)), "has 2 components, expected 3"),
     "very many components": (one(array(PLANE), array([], "q", components=10**17)), "q has 0 values, expected 6000"),
@@ -198,6 +197,19 @@ def test_bad_files(tmp_path, capfd, name):
         read_grid(tmp_path / "a.vts")
     assert str(tmp_path / "a.vts") in str(error.value)
     assert capfd.readouterr() == ("", "")
+
+
+LONG = f"{-(2**63)} {2**63 - 1} 0 -1 +5 7", f"{2**64 - 1} {2**63} 0 1 2 3"
+ENDS = {"Int64": LONG[0], "UInt64": LONG[1], "Float32": "INF -inf Infinity 1e38 -0.5 7"}
+
+
+@pytest.mark.parametrize(("kind", "words"), ENDS.items())
+def test_numbers_at_the_ends_of_their_types_and_arrays_without_names(tmp_path, kind, words):
+    (tmp_path / "a.vts").write_text(one(array(PLANE), scalar(range(6), "") + scalar([], "", kind=kind, text=words)))
+    _, field = fields = read_grid(tmp_path / "a.vts").fields
+    assert [each.name for each in fields] == ["array0", "array1"]
+    wanted = [np.float32(word) if kind == "Float32" else int(word) for word in words.split()]
+    assert field.values.ravel(order="F").tolist() == wanted
 
 
 def repeated_array():
