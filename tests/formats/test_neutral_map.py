@@ -34,11 +34,9 @@ def gap(grid: Grid, connection: Connection) -> float:
 FACES = {1: (2, 0, 0, 1), 2: (2, 1, 0, 1), 3: (0, 0, 1, 2), 4: (0, 1, 1, 2), 5: (1, 0, 2, 0), 6: (1, 1, 2, 0)}
 
 
-def neighbours(
-    face: int, donor_face: int, swap: bool, back: bool, flips: list[bool]
-) -> tuple[np.ndarray, np.ndarray, str]:
-    """Two blocks of one unit lattice that share a face, the second one turned, and the entry that says so, with the
-    primary index of the first block ascending or ``back``."""
+def neighbours(face: int, donor_face: int, swap: bool, back: bool, *flips: bool) -> tuple[np.ndarray, np.ndarray, str]:
+    """Two blocks of one unit lattice that share a face, the second one turned, and the entry that says so; the range
+    of the primary index of the first one goes up or ``back``."""
     axis, far, *tangential = FACES[face]
     donor_axis, donor_far, *donor_tangential = FACES[donor_face]
     shape = np.zeros(3, int)
@@ -60,7 +58,7 @@ def neighbours(
 @pytest.mark.parametrize("donor_face", FACES)
 def test_all_ways_two_faces_can_meet(tmp_path, face, donor_face):
     for swap, back, *flips in itertools.product((False, True), repeat=4):
-        block, donor, entry = neighbours(face, donor_face, swap, back, flips)
+        block, donor, entry = neighbours(face, donor_face, swap, back, *flips)
         bare = Grid.from_blocks([block, donor])
         sizes = [f"{n} {' '.join(map(str, b.shape[:3]))}" for n, b in ((1, block), (2, donor))]
         grid = read_neutral_map(put(tmp_path, "2", *sizes, f"ONE_TO_ONE {entry}"), bare)

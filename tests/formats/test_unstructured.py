@@ -20,14 +20,11 @@ def box(low, high, shape):
     return block_around(*(np.linspace(a, b, n) for a, b, n in zip(low, high, shape, strict=True)))
 
 
-NOTHING = Patch("declared without faces", ())
-
-
 def two_blocks():
     """Two unit-high boxes that share a face; the second is left-handed."""
     first, second = box((0, 0, 0), (1, 1, 1), (3, 3, 4)), box((1, 0, 0), (3, 1, 1), (5, 3, 4))[::-1]
     wall = Patch("lower wall", (whole_face((3, 3, 4), 0, Side.JMIN), Window(1, Side.JMIN, (0, 0), (2, 3))))
-    shared = Patch("interface", (whole_face((3, 3, 4), 0, Side.IMAX),))
+    shared, empty = Patch("interface", (whole_face((3, 3, 4), 0, Side.IMAX),)), Patch("without faces", ())
     fields = (
         Field("x", "node", 1, second[..., 0]),
         Field("x", "node", 0, first[..., 0]),
@@ -37,7 +34,7 @@ def two_blocks():
         Field("flag", "node", 0, np.ones((3, 3, 4), dtype=bool)),
         *(Field("small", "cell", b, np.full((2 + 2 * b, 2, 3), b, np.int16)) for b in (0, 1)),
     )
-    return Grid.from_blocks([first, second], ["left", "right"], patches=(wall, shared, NOTHING), fields=fields)
+    return Grid.from_blocks([first, second], ["left", "right"], patches=(wall, shared, empty), fields=fields)
 
 
 def _centres(points):
@@ -160,7 +157,7 @@ def with_families():
         Connection(f"p{b}", b, (0, 0, 0), (i - 1, 0, k - 1), b, (0, j - 1, 0), (i - 1, j - 1, k - 1), (1, 2, 3), motion)
         for b, (i, j, k) in enumerate(grid.shapes)
     ]
-    return dataclasses.replace(grid, patches=(*family, NOTHING), connections=tuple(pairs))
+    return dataclasses.replace(grid, patches=(*family, grid.patches[2]), connections=tuple(pairs))
 
 
 FAMILIES = {"skin": 4 + 8, "left.imin": 6, "left.kmax": 4, "right.imin": 6, "right.kmax": 8}

@@ -18,16 +18,6 @@ from meshdeform_formats.displacement import read_displacement
 CUBE = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1)
 
 
-def test_values_that_are_not_finite_in_text(tmp_path):
-    values = np.array([1, np.nan, np.inf, -0.0, 1e-320, 7, 1e300, 3]).reshape(2, 2, 2)
-    grid = Grid.from_blocks(
-        [np.random.default_rng(0).normal(size=(2, 2, 2, 3))], fields=(Field("f", "node", 0, values),)
-    )
-    write_grid(grid, tmp_path / "a.vts", {"encoding": "ascii"})
-    assert read_grid(tmp_path / "a.vts").fields[0].values.tobytes() == values.tobytes()
-    np.testing.assert_array_equal(vtk_witness.read(tmp_path / "a.vts")[1]["node", "f"], values)
-
-
 def array(values, name="Points", kind="Float64", components=3, text=None, **attributes):
     words = {"type": kind, "Name": name, "NumberOfComponents": components, "format": "ascii"} | attributes
     tag = " ".join(f'{key}="{value}"' for key, value in words.items())
