@@ -67,9 +67,8 @@ def check_target(output: Path | None, run: RunInput, inputs: Files) -> None:
 
         check_fields(run.fields, output, True)
     check_output(output, run.force, inputs)
-    if not run.allow_invalid:
-        # The invalid grid of an earlier run may be replaced, an input never.
-        check_output(invalid_path(output), True, inputs)
+    # The invalid grid of an earlier run may be replaced, or goes when the grid is valid; an input never.
+    check_output(invalid_path(output), True, inputs)
 
 
 def keep_boundaries(grid: Grid, output: Path, force: bool, inputs: Files) -> Callable[[], Path | None]:
