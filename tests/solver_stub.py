@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 import meshdeform as md
-from meshdeform_core.grid import Side
 
 WALL = "BCWall"
 
@@ -80,16 +79,8 @@ def _sheet(at, window, part):
     axis, (one, two) = window.side.axis, window.side.tangential
     for tangential, low, high in zip((one, two), window.low, window.high, strict=True):
         ranges[tangential] = slice(low, high + 1)
-    size = at.shape[2]
-    begin = part.start
-    if axis == 0:
-        low = window.side == Side.IMIN
-        at_end = (begin == 0) if low else (begin > 0)
-        if not at_end:
-            return np.empty((0, 0), int)
-        ranges[0] = 0 if low else size - 1
-    else:
-        low, high = ranges[0].start, ranges[0].stop
-        ranges[0] = slice(max(low - begin, 0), max(min(high - begin, size), 0))
-        ranges[axis] = 0 if window.side % 2 == 0 else -1
+    assert axis != 0, "walls where a zone begins or ends are not cut"
+    low, high = (max(end - part.start, 0) for end in (ranges[0].start, ranges[0].stop))
+    ranges[0] = slice(low, min(high, at.shape[2]))
+    ranges[axis] = 0 if window.side % 2 == 0 else -1
     return at[ranges[2], ranges[1], ranges[0]]

@@ -1,6 +1,7 @@
 """The public API: what a coupled solver writes, and what it gets when it writes something else."""
 
 import copy
+import dataclasses
 import os
 import pickle
 import subprocess
@@ -19,6 +20,7 @@ from hypothesis.extra import numpy as hnp
 import meshdeform as md
 from meshdeform.grid import wrapped
 from meshdeform_cli.main import run
+from meshdeform_core.grid import Field
 from meshdeform_core.parallel import thread_count
 from meshdeform_core.parallel.loops import usable_cores
 
@@ -70,8 +72,16 @@ def test_the_library_gives_what_the_command_gives(plate, tmp_path):
     by_mapping, by_file = md.deform(plate.grid, plate.case), md.deform(tmp_path / "grid.cgns", case)
     assert by_mapping.grid == by_command == by_file.grid
     assert by_file.report["valid"]
-    measured = md.quality(by_command, reference=plate.grid)
-    assert by_file.report["quality"]["after"]["f_skew"] == measured["quality"]["after"]["f_skew"]
+    measured = md.quality(by_command, reference=tmp_path / "grid.cgns", case=case)
+    assert by_file.report["quality"] == measured["quality"]
+    # Boundaries in a file of their own, named by an argument or by a case.
+    assert run(["convert", str(tmp_path / "grid.cgns"), str(tmp_path / "new.xyz"), "-q"]) == 0
+    apart, boundaries = tmp_path / "new.xyz", str(tmp_path / "new.nmf")
+    assert {"body", "outer", "span"} < set(md.read(apart, boundary_file=boundaries).patches)
+    body = {"select": "body", "motion": [{"translate": [0, 0, 0]}]}
+    assert len(md.prepare(apart, {"grid": {"boundary_file": boundaries}, "boundary": [body]}).points) == 80
+    with pytest.raises(md.FormatError, match="big"):
+        md.read(apart, byte_order="big")
 
 
 def test_array_patches_and_function_say_the_same(mesh, bend):
@@ -97,14 +107,16 @@ def test_the_wall_lands_exactly_where_it_was_told(mesh, bend):
 
 
 def test_patches_that_share_nodes_must_agree():
-    grid = square()
-    mesh = md.prepare(grid, moving=["block1.jmin", "block1.imin"], method="tfi")
-    low, left = (np.zeros((len(rows), 3)) for rows in mesh.patches.values())
-    low[:, 1] = 0.1
-    with pytest.raises(md.MotionError, match="expected the same"):
-        mesh.deform({"block1.jmin": low, "block1.imin": left})
-    left[:, 1] = 0.1
-    assert mesh.deform({"block1.jmin": low, "block1.imin": left}).valid
+    mesh = md.prepare(square(), moving={"low": "block1.jmin", "ends": ["block1.imin", "block1.imax"]}, method="tfi")
+    low, ends = (np.zeros((len(rows), 3)) for rows in mesh.patches.values())
+    assert (len(low), len(ends)) == (7, 14)
+    low[:, 1] = 0.1 * (1.0 + mesh.points[mesh.patches["low"], 0])
+    with pytest.raises(md.MotionError) as told:
+        mesh.deform({"low": low, "ends": ends})
+    where = "shared node (1, 0, 0) the displacement (0, 0, 0), another patch (0, 0.2, 0); expected the same"
+    assert str(told.value) == f"patch 'ends' gives its {where}"
+    ends[:, 1] = 0.1 * (1.0 + mesh.points[mesh.patches["ends"], 0])
+    assert mesh.deform({"low": low, "ends": ends}).valid
 
 
 def test_plane_grids_take_and_give_two_coordinates():
@@ -180,11 +192,16 @@ def test_methods_are_objects_or_names(plate, method, name):
 
 
 def test_a_case_may_be_made_of_python_objects():
+    motion = [{"translate": np.array([0, 0.1, 0])}, {"translate": [0, 0, "0*t"]}, {"displace": [0, "0.1*t", 0]}]
     case = {
-        "boundary": [{"name": "low", "select": "block1.jmin", "motion": [{"translate": np.array([0, 0.1, 0])}]}],
+        "boundary": [{"name": "low", "select": "block1.jmin", "motion": motion}],
         "method": md.Hybrid(md.IDW(), md.TFI()),
     }
-    assert md.deform(square(), case).valid
+    step = md.deform(square(), case, time=0.5, steps=2, repair="off")
+    assert (step.valid, step.steps, step.report["method"]["name"]) == (True, 2, "idw-tfi")
+    assert step.report["timing"]["total"] == pytest.approx(sum(step.result.timing.seconds.values()))
+    np.testing.assert_allclose(step.grid.blocks[0][:, 0, 1], 0.15)
+    assert md.deform(square(), case, method="tfi").report["method"]["name"] == "tfi"
 
 
 WRONG_DISPLACEMENTS = {
@@ -215,6 +232,12 @@ WRONG_CALLS = {
     "nothing moves": (lambda g: md.prepare(g), "nothing moves"),
     "unknown patch": (lambda g: md.prepare(g, moving=["bdy"]), "did you mean 'body'"),
     "a method that is a number": (lambda g: md.prepare(g, moving="body", method=3), "expected a name"),
+    "a hybrid of two": (lambda g: md.Hybrid(md.IDW(alpha=0.2), md.IDW()), "expected the same options"),
+    "a patch twice": (lambda g: md.prepare(g, moving=["body", "body"]), "moving = .* names a patch twice"),
+    "a time that is true": (lambda g: md.prepare(g, moving="body").deform(0.0, time=True), "time = True"),
+    "threads that are true": (lambda g: md.prepare(g, moving="body", threads=True), "threads = True"),
+    "a size that is true": (lambda g: md.sample("beam", True), "size = True"),
+    "a block before the first": (lambda g: md.prepare(g, moving="body").rows(-1), "block -1; expected 0 to 7"),
     "a hybrid not offered": (lambda g: md.Hybrid(md.TFI(), md.IDW()), "known are"),
     "case and selection": (lambda g: md.prepare(g, {"boundary": []}, moving="body"), "only one of them"),
     "a case that is a list": (lambda g: md.prepare(g, [1]), "case is a list"),
@@ -294,20 +317,26 @@ def test_any_block_is_a_grid_or_a_message(values):
     np.testing.assert_array_equal(grid.blocks[0], values.astype(np.float64))
 
 
-class WithUnit(np.ndarray):
-    """An array of another package that carries a unit."""
+class Tagged(np.ndarray):
+    """An array of another package."""
 
-    units = "mm"
+
+def tagged(array, **attributes):
+    """The array with attributes, among them its unit."""
+    found = array.view(Tagged)
+    vars(found).update(attributes)
+    return found
 
 
 def test_units_are_not_dropped(plate, mesh, bend):
-    """An array of millimetres is not taken for one in the unit of the grid."""
+    """An array of millimetres is not taken for one in the unit of the grid; without a dimension the unit is empty."""
     with pytest.raises(md.MotionError, match="has the unit 'mm'; expected plain numbers"):
-        mesh.deform(bend.view(WithUnit))
+        mesh.deform(tagged(bend, units="mm"))
     with pytest.raises(md.MotionError, match="has the unit 'mm'"):
-        mesh.deform({"body": bend.view(WithUnit)})
+        mesh.deform({"body": tagged(bend, unit="mm")})
     with pytest.raises(md.GridError, match="block 'block1' has the unit 'mm'"):
-        md.Grid([plate.grid.blocks[0].view(WithUnit)])
+        md.Grid([tagged(plate.grid.blocks[0], units="mm")])
+    assert mesh.deform(tagged(bend, unit="")).grid == mesh.deform(bend).grid
 
 
 def test_numbers_of_numpy_are_numbers(plate, bend):
@@ -375,6 +404,8 @@ def test_objects_are_pleasant_at_a_prompt(plate, mesh, bend):
         assert "array" not in repr(thing)
     assert repr(plate.grid) == "Grid(8 blocks, 1,152 nodes, 600 cells, 3-D)"
     assert repr(step).startswith("Step(valid; 1 step, ")
+    assert plate.grid != md.Grid([np.array(block) for block in plate.grid.blocks], list("abcdefgh"))
+    assert square() != md.Grid([np.pad(square().blocks[0], ((0, 0), (0, 0), (0, 1)))[:, :, None]])
     with pytest.raises(TypeError, match="unhashable"):
         hash(plate.grid)
 
@@ -399,6 +430,12 @@ def test_grids_become_those_of_other_packages(plate):
     ]
     for block in blocks:
         np.testing.assert_allclose(block.cell_data["volume"], block.compute_cell_sizes().cell_data["Volume"])
+    nodes = plate.grid.blocks[0] @ [1.0, 10.0, 100.0]
+    cells = (nodes[:-1, :-1, :-1] + nodes[1:, 1:, 1:]) / 2
+    fields = Field("p", "node", 0, nodes), Field("q", "cell", 0, cells)
+    block = wrapped(dataclasses.replace(plate.grid.core, fields=fields)).to_pyvista()[0]
+    np.testing.assert_allclose(block.point_data["p"], block.points @ [1.0, 10.0, 100.0])
+    np.testing.assert_allclose(block.cell_data["q"], block.cell_centers().points @ [1.0, 10.0, 100.0])
 
 
 def test_grids_draw_themselves(plate, mesh, bend, tmp_path):
@@ -407,6 +444,8 @@ def test_grids_draw_themselves(plate, mesh, bend, tmp_path):
         "displacement", reference=plate.grid, plane="k=1", limits=(0, 0.5), title="bent", zoom=(-0.7, 0.7, -0.6, 0.6)
     )
     assert figure.axes[0].get_xlim() == (-0.7, 0.7)
+    assert [text.get_text() for text in figure.texts] == ["bent"]
+    assert plate.grid.plot(title="").texts == []
     figure.savefig(tmp_path / "bent.png")
     assert (tmp_path / "bent.png").stat().st_size > 10_000
     with pytest.raises(md.CaseError, match="measure 'skew' is unknown; did you mean 'f_skew'"):
@@ -419,8 +458,9 @@ def test_files_are_not_overwritten_unasked(plate, tmp_path):
     with pytest.raises(md.FormatError, match="exists"):
         md.write(plate.grid, path)
     md.write(plate.grid, path, force=True)
+    os.link(path, tmp_path / "same.xyz")
     with pytest.raises(md.FormatError, match="read from"):
-        md.write(md.read(path), path, force=True)
+        md.write(md.read(path), tmp_path / "same.xyz", force=True)
     assert md.compare(plate.grid, path).largest == 0.0
 
 

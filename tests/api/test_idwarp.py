@@ -1,7 +1,6 @@
 """``meshdeform.compat.idwarp``: the calls of solvers and scripts, and derivatives against differences."""
 
 import dataclasses
-import json
 import subprocess
 import sys
 
@@ -12,9 +11,10 @@ from solver_stub import Solver
 
 import meshdeform as md
 from meshdeform.compat.idwarp import MultiUSMesh, USMesh
-from meshdeform.compat.options import Options
+from meshdeform.compat.options import NOTES, Options
 from meshdeform.grid import wrapped
 from meshdeform_core.grid import Grid, Patch, Side, Window
+from meshdeform_core.wording import vector
 
 H = 1e-6
 
@@ -42,7 +42,7 @@ def overset(tmp_path):
         blocks.append(np.ascontiguousarray(block))
     for zone in range(3):
         ni, nj, nk = blocks[zone].shape[:3]
-        patches.append(Patch("wall", (Window(zone, Side.JMIN, (0, 0), (ni - 1, nk - 1)),), "wall", "BCWallViscous"))
+        patches.append(Patch(f"w{zone}", (Window(zone, Side.JMIN, (0, 0), (ni - 1, nk - 1)),), "wall", "BCWallViscous"))
         for side in (Side.KMIN, Side.KMAX):
             patches.append(Patch("sym", (Window(zone, side, (0, 0), (ni - 1, nj - 1)),), "sym", "BCSymmetryPlane"))
     path = tmp_path / "overset.cgns"
@@ -76,13 +76,14 @@ def test_derivatives_at_the_undeformed_grid(wing, always, monkeypatch):
         monkeypatch.setattr(Options, "method_of", lambda *given: dataclasses.replace(chosen(*given), summation="fast"))
     mesh = USMesh({"gridFile": wing, "errTol": 0.0005, "evalMode": "fast", "symmTol": 1e-6, "bucketSize": 8})
     start = mesh.getSurfaceCoordinates()
-    mesh.setSurfaceCoordinates(start)
-    mesh.warpMesh()
     random = np.random.default_rng(314)
     change = random.random(start.shape) - 0.5
-    found = mesh.warpDerivFwd(change, solverVec=False)
-    expected = differences(mesh, change, mesh.getWarpGrid)
-    assert np.linalg.norm(found - expected) < 1e-5 * np.linalg.norm(expected)
+    for at in (bend(start), start):
+        mesh.setSurfaceCoordinates(at)
+        mesh.warpMesh()
+        found = mesh.warpDerivFwd(change, solverVec=False)
+        expected = differences(mesh, change, mesh.getWarpGrid)
+        assert np.linalg.norm(found - expected) < 1e-5 * np.linalg.norm(expected)
     weights = random.random(expected.shape) - 0.5
     assert mesh.warpDeriv(weights, solverVec=False) is None
     product = float(weights @ expected)
@@ -115,33 +116,6 @@ def test_sequence_of_a_solver(wing):
     np.testing.assert_allclose(mesh.warpDerivFwd(smooth), expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_duplicated_nodes_add(mesh, wing):
-    solver = Solver.of(wing)
-    mesh.setExternalMeshIndices(solver.indices.astype(np.int64))
-    nodes = solver.indices[::3] // 3
-    twice = np.flatnonzero(np.bincount(nodes) == 2)[0]
-    weights = np.zeros(len(solver.indices))
-    weights[np.repeat(nodes == twice, 3)] = 1.0
-    mesh.warpDeriv(weights)
-    found = mesh.getdXs()
-    once = np.zeros(mesh.warp.griddata.warpmeshdof)
-    once[3 * twice : 3 * twice + 3] = 2.0
-    mesh.warpDeriv(once, solverVec=False)
-    np.testing.assert_allclose(found, mesh.getdXs(), rtol=1e-12, atol=1e-15)
-    assert np.abs(found).max() > 0
-
-
-def test_free_and_mirrored_nodes(mesh):
-    """Nothing is fixed: a translated wing takes the whole grid along; symmetry planes stay planes."""
-    start = mesh.getSurfaceCoordinates()
-    mesh.setSurfaceCoordinates(start + [0.3, 0.0, 0.2])
-    mesh.warpMesh()
-    moved = (mesh.getWarpGrid() - mesh._grid.points[mesh._own_rows].ravel()).reshape(-1, 3)
-    np.testing.assert_allclose(moved, np.broadcast_to([0.3, 0.0, 0.2], moved.shape), atol=1e-12)
-    mesh.setSurfaceCoordinates(start)
-    mesh.warpMesh()
-
-
 def test_written_grid(mesh, wing, tmp_path):
     start = mesh.getSurfaceCoordinates()
     mesh.setSurfaceCoordinates(bend(start))
@@ -157,23 +131,32 @@ def test_written_grid(mesh, wing, tmp_path):
 def test_plot3d_and_surface_files(tmp_path):
     ring = polar(12, 5, 2)
     md.write(wrapped(ring), tmp_path / "ring.xyz")
-    wall = md.Grid([ring.block(0)[:, :1]])
+    wall = md.Grid([ring.block(0)[a:b, :1] for a, b in ((0, 5), (4, 9), (8, 13))])
     md.write(wall, tmp_path / "wall.xyz")
     wider = [1.1, 1.1, 1.0]
-    md.write(md.Grid([wider * wall.blocks[0]]), tmp_path / "wider.xyz")
+    md.write(md.Grid([wider * block for block in wall.blocks]), tmp_path / "wider.xyz")
     given = {"gridFile": str(tmp_path / "ring.xyz"), "fileType": "plot3d"}
-    with pytest.raises(md.CaseError, match="symmetryPlanes is missing"):
-        USMesh(given)
-    mesh = USMesh({**given, "symmetryPlanes": [[[0, 0, 0], [0, 0, 1]], [[0, 0, 1], [0, 0, 2]]]})
+    for options, message in (
+        (given, "symmetryPlanes is missing"),
+        ({**given, "fileType": "CGNS"}, "type plot3d; .* is 'CGNS'"),
+    ):
+        with pytest.raises(md.CaseError, match=message):
+            USMesh(options)
+    mesh = USMesh({**given, "symmTol": 2e-3, "symmetryPlanes": [[[0, 0, 1e-3], [0, 0, 1]], [[0, 0, 1.001], [0, 0, 3]]]})
     with pytest.raises(md.CaseError, match="declares no wall"):
         mesh.getSurfaceCoordinates()
+    with pytest.raises(md.MotionError, match=r"block 1 has \(13, 6, 3\) nodes; expected a surface"):
+        mesh.setSurfaceDefinitionFromFile(str(tmp_path / "ring.xyz"))
     mesh.setSurfaceDefinitionFromFile(str(tmp_path / "wall.xyz"))
-    order = wall.blocks[0][:, 0].transpose(1, 0, 2).reshape(-1, 3)
+    order = np.concatenate([block[:, 0].transpose(1, 0, 2).reshape(-1, 3) for block in wall.blocks])
     np.testing.assert_allclose(mesh.getSurfaceCoordinates(), order)
     mesh.setSurfaceFromFile(str(tmp_path / "wider.xyz"))
     np.testing.assert_allclose(mesh.getSurfaceCoordinates(), wider * order)
     mesh.warpMesh()
     assert np.ptp(mesh.getWarpGrid().reshape(-1, 3)[:, 2]) == pytest.approx(1.0, abs=1e-12)
+    mesh.writeGrid()
+    after = md.read(tmp_path / "ring_warped.xyz").blocks[0]
+    np.testing.assert_array_equal(after.transpose(2, 1, 0, 3).ravel(), mesh.getCommonGrid())
 
 
 def test_components_move_together(overset):
@@ -181,7 +164,7 @@ def test_components_move_together(overset):
     component = {"evalMode": "exact"}
     mesh = MultiUSMesh(overset, {"wing": {**component, "method": "idw-tfi"}, "flap": component})
     with pytest.raises(md.CaseError, match="setExternalMeshIndices"):
-        solver.set_mesh(SurfaceFirst(mesh))
+        mesh.setSurfaceDefinition(solver.points, solver.conn, solver.sizes)
     solver.set_mesh(mesh, zones=True)
     zone = np.searchsorted(mesh._grid.offsets, solver.indices[::3] // 3, side="right") - 1
     moved = solver.points.copy()
@@ -196,8 +179,6 @@ def test_components_move_together(overset):
     parts, count = mesh.getWarpGrid()
     assert (len(parts), count) == (2, sum(map(len, parts)))
     np.testing.assert_array_equal(np.concatenate(parts), mesh.getCommonGrid()[:count])
-    shift = grid[zone == 2] - solver.start[zone == 2]
-    np.testing.assert_allclose(shift, np.broadcast_to([0.1, 0.2, 0.0], shift.shape), atol=1e-12)
     random = np.random.default_rng(2)
     weights, change = random.standard_normal(grid.size), random.standard_normal(moved.shape) * [1, 1, 0]
     gradient = mesh.warpDeriv(weights)
@@ -205,23 +186,63 @@ def test_components_move_together(overset):
     assert weights @ mesh.warpDerivFwd(change) == pytest.approx((gradient * change).sum(), rel=1e-11)
 
 
-class SurfaceFirst:
-    """A solver that forgets the indices."""
+def test_walls_are_chosen_by_family_or_name_and_stand_in_the_order_of_the_file(overset):
+    mesh = MultiUSMesh(overset, {"flap": {"specifiedSurfaces": ["W2"]}, "WING": {"specifiedSurfaces": ["Wall"]}})
+    grid, start, before = md.read(overset), mesh.getSurfaceCoordinates(), mesh.getWarpGrid()[0]
+    assert {"w0", "w1", "w2", "wall", "sym"} < set(grid.patches)
+    for points, walls in ((start[:36], grid.blocks[:2]), (start[36:], grid.blocks[2:3])):
+        known = np.concatenate([block[:, 0].reshape(-1, 3) for block in walls])
+        np.testing.assert_array_equal(np.unique(points, axis=0), np.unique(known, axis=0))
+    shift = np.repeat([[0.0, 0.0, 0.0], [0.1, 0.2, 0.0]], 36, axis=0)
+    mesh.setSurfaceCoordinates((start + shift).ravel())
+    mesh.warpMesh()
+    for part, old, by in zip(mesh.getWarpGrid()[0], before, shift[::36], strict=True):
+        np.testing.assert_allclose(part, old + np.tile(by, len(old) // 3), rtol=0, atol=1e-12)
+    mesh.setSurfaceCoordinates(np.where(shift[:, :1] > 0.0, [4.0, 0.0, 0.0] + start * [-1.0, 1.0, 1.0], start))
+    with pytest.warns(UserWarning, match="the warped grid of component 2 is invalid: Step.INVALID.*; first Inv"):
+        mesh.warpMesh()
+    with pytest.raises(md.CaseError, match="no family 'tail'; expected some of sym, wall"):
+        MultiUSMesh(overset, {"flap": {"specifiedSurfaces": ["wall", "tail"]}}).getSurfaceCoordinates()
 
-    def __init__(self, mesh):
-        self.setSurfaceDefinition = mesh.setSurfaceDefinition
 
-    def setExternalMeshIndices(self, indices):
-        """Nothing."""
+def test_triangles_are_faces_and_the_same_faces_of_two_components_are_told_apart_by_zones(tmp_path):
+    """The bottom of a quarter of a cylinder, whose inner faces end at its axis."""
+    angle, radius, height = np.meshgrid(*(np.linspace(0, *ends) for ends in ((1.5, 5), (1, 4), (1, 3))), indexing="ij")
+    block = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
+    md.write(md.Grid([block, block], ["one.1", "two.1"]), tmp_path / "both.cgns")
+    mesh = MultiUSMesh(str(tmp_path / "both.cgns"), {"one": {}, "two": {}})
+    mesh.setExternalMeshIndices(np.arange(6 * 5 * 4 * 3))
+    points, node = block[:, :, 0].reshape(-1, 3)[1:], np.arange(-1, 19).reshape(5, 4)
+    quads = np.stack([node[:-1, 1:-1], node[1:, 1:-1], node[1:, 2:], node[:-1, 2:]], axis=-1)
+    conn = np.concatenate([quads.ravel(), np.stack([node[1:, 0], node[1:, 1], node[:-1, 1]], axis=-1).ravel()])
+    sizes = [4] * 8 + [3] * 4
+    with pytest.raises(md.GridError, match="12 of 12 faces of the surface lie on several components"):
+        mesh.setSurfaceDefinition(points, conn, sizes)
+    mesh.setSurfaceDefinition([*points, *points], [*conn, *(conn + 19)], sizes * 2, [1] * 12 + [2] * 12)
+    start, shift = mesh.getSolverGrid().reshape(2, -1, 3), [[[0.0, 0.0, 0.0]], [[0.1, 0.2, 0.3]]]
+    mesh.setSurfaceCoordinates(np.add([points, points], shift))
+    mesh.warpMesh()
+    np.testing.assert_allclose(mesh.getSolverGrid().reshape(2, -1, 3), start + shift, rtol=0, atol=1e-12)
+    for call, given, message in (
+        (mesh.setSurfaceCoordinates, points, r"have the shape \(19, 3\); expected \(38, 3\)"),
+        (mesh.setSurfaceCoordinates, np.full((38, 3), np.nan), "not finite"),
+        (mesh.warpDerivFwd, points, "dXs has 57 values; expected 114"),
+        (mesh.warpDeriv, points, "dXv has 57 values; expected 360"),
+    ):
+        with pytest.raises(md.MeshDeformError, match=message):
+            call(given)
 
 
 def test_components_that_stay(overset):
     solver = Solver.of(overset)
     mesh = MultiUSMesh(overset, {"flap": {}})
     solver.set_mesh(mesh, zones=True)
-    mesh.setSurfaceCoordinates(1.1 * solver.points)
-    with pytest.raises(md.MotionError, match="zones without options"):
+    moved = solver.points + [[0.1 * (n == 5), 0.0, 0.0] for n in range(len(solver.points))]
+    mesh.setSurfaceCoordinates(moved)
+    with pytest.raises(md.MotionError) as told:
         mesh.warpMesh()
+    where = f"the first to {vector(moved[5])}; expected points that stay"
+    assert f"1 surface points moved that lie on zones without options, {where}" in str(told.value)
     with pytest.raises(md.CaseError, match="no zone of component 'tail'"):
         MultiUSMesh(overset, {"tail": {}})
     with pytest.raises(md.CaseError, match="dtype"):
@@ -249,7 +270,8 @@ def test_options_that_are_refused(given, message):
 
 
 def test_options_are_honoured(wing, capsys):
-    given = {"gridFile": wing, "SPECIFIEDsurfaces": ["WING"], "aexp": 2.0, "ldeffact": 50, "useRotations": False}
+    given = {"gridFile": wing, "SPECIFIEDsurfaces": ["WING"], "aexp": 2.0, "bExp": 4.0, "ldeffact": 50}
+    given |= {"useRotations": False, "zeroCornerRotations": False, "evalMode": "EXACT", "errTol": 1e-6, "repair": "OFF"}
     mesh = USMesh(given)
     assert mesh.getOption("AEXP") == 2.0
     mesh.setOption("alpha", 0.3)
@@ -258,15 +280,21 @@ def test_options_are_honoured(wing, capsys):
     reach = USMesh({"gridFile": wing})
     reach.getSurfaceCoordinates()
     usual = reach._components[0]._mesh.setup.case.method.idw
-    assert (part.a, part.alpha, part.rotation, usual.rotation) == (2.0, 0.3, "none", "lie")
-    assert part.length == pytest.approx(50 * usual.length)
-    assert part.summation_tolerance == usual.summation_tolerance == 5e-7
+    assert (part.a, part.b, part.alpha, part.rotation) == (2.0, 4.0, 0.3, "none")
+    assert (part.smoothing, part.summation) == (0, "exact")
+    assert (usual.a, usual.b, usual.alpha, usual.rotation, usual.smoothing) == (3, 5, 0.25, "lie", "auto")
+    nodes = np.unique(np.concatenate([block.reshape(-1, 3) for block in md.read(wing).blocks]), axis=0)
+    length = np.linalg.norm(reach.getSurfaceCoordinates() - nodes.mean(axis=0), axis=1).max()
+    assert (usual.length, part.length) == pytest.approx((length, 50 * length))
+    assert (part.summation_tolerance, usual.summation_tolerance) == (1e-8, 5e-7)
     with pytest.raises(md.CaseError, match="after the surface"):
         mesh.setOption("alpha", 0.1)
     with pytest.warns(UserWarning, match="cornerAngle = 60 has no effect: edges are sharp from about 50"):
         USMesh({"gridFile": wing, "cornerAngle": 60})
     mesh.printOptions()
-    assert "aExp                 2.0" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "aExp                 2.0\nbExp                 4.0\n" in told
+    assert f"errTol               1e-06  ({NOTES['errTol']})\n" in told
 
 
 @pytest.mark.parametrize(
@@ -275,6 +303,9 @@ def test_options_are_honoured(wing, capsys):
         (lambda s: {"points": s.points + 0.01}, "not faces on the outside"),
         (lambda s: {"conn": s.conn[:-1]}, "conn has"),
         (lambda s: {"conn": s.conn + 10**6}, "rows of pts"),
+        (lambda s: {"conn": s.conn - 1}, "conn has -1 to .*; expected 0 to"),
+        (lambda s: {"sizes": np.append(s.sizes[:-5], [5] * 4), "zones": s.zones[:-1]}, "faces of 3 or 4 corners"),
+        (lambda s: {"indices": s.indices - 3}, "of the nodes -1 to"),
         (lambda s: {"indices": s.indices[::-1]}, "x, y, z"),
         (lambda s: {"indices": s.indices + 3 * 10**6}, "numbered from 0"),
         (lambda s: {"zones": s.zones[:-1]}, "cgnsBlockIDs"),
@@ -304,8 +335,14 @@ def test_copies_that_disagree(wing):
     moved = solver.points.copy()
     moved[at] += 1e-4
     mesh.setSurfaceCoordinates(moved)
-    with pytest.warns(UserWarning, match="mean"):
+    away = np.linalg.norm(solver.start - solver.points[at], axis=1)
+    apart = np.sqrt(3) * 1e-4 / away[away > 1e-9].min()
+    with pytest.warns(
+        UserWarning, match=f"copies of surface points are up to {apart:.3g} edges apart; they get their mean"
+    ):
         mesh.warpMesh()
+    copies = np.linalg.norm(solver.points - solver.points[at], axis=1) < 1e-9
+    np.testing.assert_allclose(mesh.getSolverGrid().reshape(-1, 3)[solver.wall_of[at]], moved[copies].mean(axis=0))
     moved[at] += 1.0
     mesh.setSurfaceCoordinates(moved)
     with pytest.raises(md.MotionError, match="copies"):
@@ -313,13 +350,10 @@ def test_copies_that_disagree(wing):
 
 
 def test_without_mpi4py(wing):
-    """In serial nothing needs mpi4py, and ``import meshdeform`` loads nothing of it."""
+    """In serial nothing needs it."""
     code = (
-        "import sys, json; sys.modules['mpi4py'] = None; import meshdeform; before = sorted(sys.modules); "
-        "from meshdeform.compat.idwarp import USMesh; mesh = USMesh({'gridFile': sys.argv[1]}); mesh.warpMesh(); "
-        "print(json.dumps([len(mesh.getSurfaceCoordinates()), 'numpy' in before, 'meshdeform.compat' in before]))"
+        "import sys; sys.modules['mpi4py'] = None; from meshdeform.compat.idwarp import USMesh; "
+        "mesh = USMesh({'gridFile': sys.argv[1]}); mesh.warpMesh(); print(len(mesh.getSurfaceCoordinates()))"
     )
     done = subprocess.run([sys.executable, "-c", code, wing], capture_output=True, text=True, check=True)
-    count, *loaded = json.loads(done.stdout)
-    assert count > 100
-    assert loaded == [False, False]
+    assert int(done.stdout) > 100

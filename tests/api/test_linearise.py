@@ -92,6 +92,8 @@ def test_a_part_of_the_motion_is_told(mesh):
     assert found.step.result.reached < 1.0
     assert not found.exact
     assert "of the motion was imposed; the derivative is that of the method for all of it" in found.reason
+    half = mesh.linearise(mesh.points * [-2.0, -2.0, 0.0], steps=1, repair="off").reason
+    assert half.startswith("80 wall nodes turn by 180 degrees, where the direction of rotation jumps")
 
 
 def test_bad_arrays(mesh):

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from meshdeform_core.methods import ALIASES, CATALOGUE
+from meshdeform_core.methods import ALIASES, CATALOGUE, declared
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_samples import SAMPLES
 
@@ -16,19 +16,28 @@ from meshdeform_samples import SAMPLES
 def test_info_for_people(bench, call):
     result = call("info", "grid.cgns")
     assert (result.code, result.err) == (0, "")
-    for words in (
+    for line in (
         "grid.cgns: cgns (container=HDF5), float64",
-        "3-D, 8 blocks, 1,152 nodes",
-        "600 cells",
-        "block1  5 x 5 x 4  right-handed  x -2..-0.5  y -2..-0.5  z 0..1",
-        "block1.imax-block4.imin",
+        "3-D, 8 blocks, 1,152 nodes (960 unique), 600 cells",
+        "extent x -2..2  y -2..2  z 0..1, shortest edge on a block face 0.136",
+        "  block1  5 x 5 x 4  right-handed  x -2..-0.5  y -2..-0.5  z 0..1",
+        "  block1.imax-block4.imin  (5, 1, 1)..(5, 5, 4)  transform [1, 2, 3]",
         "interfaces (8 found, 0 declared in the file)",
     ):
-        assert words in result.out, result.out
-    # Blocks meet the bar with 4 to 6 cells, three layers high.
-    assert re.search(r"^  body \(4 faces\) +wall +60 +4 +0\.\d+, 0\.\d+ +x -0\.5\.\.0\.5 +y", result.out, re.MULTILINE)
-    assert re.search(r"^  span \(\d+ \w+\) +symmetry +400 +30 ", result.out, re.MULTILINE)
+        assert line in result.out.splitlines(), result.out
+    # Blocks meet the bar with 4 to 6 cells, three layers high; the first cells are those of ``stretched``.
+    rows = re.findall(r"^  (\w+ \(.*?\)) +(\w+) +(\d+) +(\d+)  (\S+ \S+) +x (.*)", result.out, re.MULTILINE)
+    assert rows == [
+        ("body (4 faces)", "wall", "60", "4", "0.167, 0.327", "-0.5..0.5  y -0.5..0.5  z 0..1"),
+        ("span (2 patches)", "symmetry", "400", "30", "0.333, 0.333", "-2..2  y -2..2  z 0..1"),
+        ("outer (2 patches)", "far", "180", "16", "0.262, 0.298", "-2..2  y -2..2  z 0..1"),
+    ]
     assert "body  (body, BCWall)" in call("info", "grid.cgns", "-v").out
+    # Without patches roles are guessed, and long lists cut.
+    texts = [call("info", "grid.xyz", *more).out for more in ((), ("-v",))]
+    every = [f"{role}?" for role in ["wall"] * 4 + ["end"] * 16 + ["far"] * 12]
+    assert [re.findall(r"^  block\S+ +(\w+\?)", text, re.MULTILINE) for text in texts] == [every[:22], every]
+    assert ["  ... and 10 more (-v shows all)\n" in text for text in texts] == [True, False]
 
 
 def test_info_for_programs(bench, call):
@@ -47,23 +56,18 @@ def test_info_for_programs(bench, call):
         assert face["role"] == {None: "interface", "body": "wall", "outer": "far", "span": "symmetry"}[face["family"]]
         assert face["outside"] is (face["role"] != "interface")
     assert sum(f["area"] for f in facts["faces"] if f["family"] == "body") == pytest.approx(4.0)
-    assert {s["name"]: s["quads"] for s in facts["surfaces"]}.keys() == {"body", "outer", "span"}
     assert sum(s["quads"] for s in facts["surfaces"]) == sum(facts["external_faces"].values())
-    assert facts["bounding_box"] == [[-2.0, -2.0, 0.0], [2.0, 2.0, 1.0]]
-    # 16 lines each way without the 4 x 4 inside the bar, four layers.
-    assert facts["unique_nodes"] == (16 * 16 - 4 * 4) * 4
-    assert len(facts["interfaces"]) == 8
     grid = read_grid("grid.cgns")
     for each in facts["interfaces"]:
         own, donor = (grid.block(grid.names.index(name)) for name in each["blocks"])
         for end in ("first", "last"):
             here, there = (tuple(n - 1 for n in each[key]) for key in (end, f"donor_{end}"))
             np.testing.assert_array_equal(own[here], donor[there])
-    assert {p["family"] for p in facts["patches"]} == {"body", "outer", "span"}
-    window = facts["patches"][0]["windows"][0]
-    assert window["face"].split(".")[1] in {"imin", "imax", "jmin", "jmax"}
-    assert min(window["first"]) == 1
-    assert facts["collapsed"] == []
+    counts = {p["family"]: 0 for p in facts["patches"]}
+    for patch, window in ((p, w) for p in facts["patches"] for w in p["windows"]):
+        counts[patch["family"]] += np.prod(np.subtract(window["last"], window["first"]))
+        assert min(window["first"]) >= 1
+    assert counts == {s["name"]: s["quads"] for s in facts["surfaces"]}
 
 
 def test_info_names_left_handed_blocks_and_collapsed_edges(bench, call):
@@ -74,30 +78,27 @@ def test_info_names_left_handed_blocks_and_collapsed_edges(bench, call):
     write_grid(grid.moved(points), "other.xyz")
     facts = json.loads(call("info", "other.xyz", "--json").out)
     assert {b["handedness"] for b in facts["blocks"]} == {"left"}
-    assert {"face": "block1.kmin", "what": "no area", "quads": 16} in facts["collapsed"]
+    flat, edges = (
+        ("no area", "block1.kmin", 16),
+        [("a collapsed edge", f"block1.{side}", 4) for side in ("imin", "imax")],
+    )
+    assert [(each["what"], each["face"], each["quads"]) for each in facts["collapsed"]] == [flat, *edges]
     assert "left-handed" in call("info", "other.xyz").out
 
 
 # quality
 
 
-def test_quality_of_a_grid_alone(bench, call):
-    result = call("quality", "grid.xyz", "--json")
-    report = json.loads(result.out)
-    assert (result.code, result.err) == (0, "")
-    assert report["valid"] is True
-    assert report["quality"]["after"]["f_skew"]["min"] == pytest.approx(1.0)
-    assert report["quality"]["after"]["total_volume"] == pytest.approx(15.0)
-    assert report["quality"]["after"]["wall_normal_deviation_deg"] is None
-
-
-def test_quality_of_folded_grid_is_inherited(bench, call):
-    grid = read_grid("grid.xyz")
+def test_quality_of_a_grid_alone_and_of_folded_cells_which_are_inherited(bench, call):
+    grid, sound = read_grid("grid.xyz"), json.loads(call("quality", "grid.xyz", "--json").out)["quality"]["after"]
+    assert (sound["f_skew"]["min"], sound["total_volume"]) == pytest.approx((1.0, 15.0))
+    assert sound["wall_normal_deviation_deg"] is None
     points = grid.points.copy()
     grid.block(0, points)[2, 2, 2] += [0.0, 0.0, 0.9]
     write_grid(grid.moved(points), "folded.xyz")
-    alone = json.loads(call("quality", "folded.xyz", "--json").out)
-    assert alone["valid"] is True
+    judged = call("quality", "folded.xyz", "--json")
+    alone = json.loads(judged.out)
+    assert (judged.code, judged.err, alone["valid"]) == (0, "", True)
     assert alone["quality"]["after"]["inherited_invalid_cells"] > 0
     result = call("quality", "folded.xyz", "--reference", "grid.xyz", "--json")
     assert result.code == 3
@@ -119,8 +120,10 @@ def test_compare_says_how_far_and_where(bench, call):
     assert facts["rms"] == pytest.approx(5e-3 / np.sqrt(1152))
     assert (facts["where"], facts["differing_nodes"]) == ("block3 (2, 4, 3)", 1)
     assert [b["largest"] > 0 for b in facts["blocks"]] == [n == 2 for n in range(8)]
-    for more, code in (((), 0), (("--tolerance", "6e-3"), 0), (("--tolerance", "4e-3"), 1)):
-        assert call("compare", "grid.xyz", "other.xyz", *more).code == code
+    for other, tolerance, code in (("other.xyz", "6e-3", 0), ("other.xyz", "4e-3", 1), ("grid.cgns", "0", 0)):
+        assert call("compare", "grid.xyz", other, "--tolerance", tolerance).code == code
+    lines = call("compare", "grid.xyz", "other.xyz").out.splitlines()
+    assert lines[:2] == ["largest 5.000000e-03 at block3 (2, 4, 3)", "rms     1.473139e-04, 1 of 1,152 nodes differ"]
 
 
 # plot
@@ -153,11 +156,17 @@ def test_methods_lists_and_explains_all(call):
     for name in (*ALIASES, *CATALOGUE):
         assert name in listed
         text, entry = call("methods", name).out, CATALOGUE[ALIASES.get(name, name)]
-        assert entry.summary in text
+        assert text.startswith(f"{ALIASES.get(name, name)}: {entry.summary}\n")
         for part in entry.parts:
-            assert f"[method.{part.__name__.lower()}]" in text
-            for option in part.__dataclass_fields__:
-                assert re.search(rf"^  {option} = ", text, re.MULTILINE), option
+            section = text.partition(f"\n[method.{part.__name__.lower()}]\n")[2].partition("\n[method.")[0]
+            words, options = " ".join(section.split()), list(declared(part).values())
+            for option in options:
+                assert f"\n  {option.name} = {json.dumps(option.default)}\n" in section
+                assert " ".join(f"default: {option.why}".replace("``", "").split()) in words
+                # What several options mean is said once, with the names of all of them.
+                alike = [each.name for each in options if each.meaning == option.meaning]
+                meaning = f"{', '.join(alike)}: {option.meaning}" if len(alike) > 1 else option.meaning
+                assert words.count(" ".join(meaning.replace("``", "").split())) == 1
 
 
 # sample
@@ -171,13 +180,14 @@ def test_sample_lists_all(call):
 
 
 def test_sample_overwrites_only_by_force(bench, call, snapshot):
-    arguments = ("sample", "beam", "-o", "new/folder")
+    arguments = ("sample", "wing", "-o", "new/folder", "--size", "8")
     assert call(*arguments).code == 0
     before = snapshot(bench)
-    result = call(*arguments)
-    assert (result.code, snapshot(bench)) == (2, before)
-    assert "new/folder/grid.cgns exists; use --force" in result.err
-    (bench / "new/folder/grid.cgns").unlink()
-    assert "new/folder/case.toml exists" in call(*arguments).err
+    for name in ("grid.cgns", "structure.npz", ""):
+        result = call(*arguments)
+        assert (result.code, f"error: new/folder/{name}" in result.err) == (2, True)
+        assert "exists; use --force to overwrite it" in result.err
+        (bench / "new/folder" / (name or "case.toml")).unlink()
     assert call(*arguments, "--force").code == 0
     assert snapshot(bench) == before
+    assert (bench / "new/folder/README.md").is_file()

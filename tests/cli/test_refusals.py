@@ -20,6 +20,11 @@ PLOT = ("plot", "grid.cgns", "-o", "out.png")
 SERIES = ("series", "grid.xyz", "-c", "case.toml")
 LEVELS = (*SERIES, "-o", "out", "--times", "0:1:0.5")
 PIPE = ("pipe: it is a pipe; expected a file",)
+STRANGE = os.fsdecode(b"gr\xff d.vtm")
+TO_PIPES = (
+    (*DEFORM[:-1], "pipe.vtm"), (*DEFORM[:-1], "link.xyz"), (*DEFORM, "--report", "pipe.json"),
+    (*PLOT[:-1], "pipe.png"), ("init", "grid.xyz", "-o", "pipe.toml"),
+)  # fmt: skip
 
 # id: (arguments, fragments of the message)
 CALLS = {
@@ -40,6 +45,10 @@ CALLS = {
         ("radial basis function system", "centres needs about", "187 MiB for program and grid", "greedy"),
     ),
     "tolerance-nan": (("compare", "grid.xyz", "grid.cgns", "--tolerance", "nan"), ("--tolerance", "finite")),
+    "tolerance-inf": (("compare", "grid.xyz", "grid.cgns", "--tolerance", "inf"), ("--tolerance", "finite")),
+    "memory-of-two": (
+        ("compare", "grid.xyz", "grid.cgns", "--max-memory", "10KiB"), ("comparing 2,304 nodes needs about",),
+    ),
     # KEY=VALUE
     "set-no-equals": ((*DEFORM, "-s", "method.name"), ("--set 'method.name'", "KEY=VALUE")),
     "variant-of-cgns": (
@@ -62,6 +71,9 @@ CALLS = {
     "output-name-too-long": (
         ("deform", "grid.xyz", "-c", "case.toml", "-o", "a" * 300 + ".xyz"), ("File name too long",),
     ),
+    **{f"output-{call[-1]}": ((*call, "--force"), ("it is a pipe; give a file name",)) for call in TO_PIPES},
+    "output-link-of-a-set": (("convert", "grid.xyz", "link.vtm", "--force"), ("link.vtm: it is a link", "old.xyz")),
+    "output-not-utf8": (("convert", "grid.xyz", STRANGE), ("its name is not UTF-8",)),
     "output-one-block-only": (("convert", "grid.xyz", "out.vts"), ("one block", "8", ".vtm")),
     "report-exists": ((*DEFORM, "--report", "old.json"), ("old.json exists", "--force")),
     "init-exists": (("init", "grid.xyz", "-o", "case.toml"), ("case.toml exists", "--force")),
@@ -80,7 +92,7 @@ CALLS = {
     "table-pipe": (("deform", "grid.xyz", "-d", "pipe", "-o", "z.xyz"), PIPE),
     "reference-pipe": (("quality", "grid.xyz", "--reference", "pipe"), PIPE),
     # series
-    "series-no-times": ((*SERIES, "-o", "out"), ("--times START:STOP:STEP",)),
+    "series-no-times": ((*SERIES, "-o", "out"), ("the case has no sequence of displacement files; give",)),
     "series-no-output": ((*SERIES, "--times", "0:1:0.5"), ("Missing option '-o'",)),
     "series-times": ((*SERIES, "-o", "out", "--times", "0:1"), ("--times: '0:1'",)),
     "series-suffix": ((*LEVELS, "--suffix", ".abc"), ("cannot tell the format",)),
@@ -180,7 +192,10 @@ MISTAKES = {
 @pytest.mark.parametrize("name", [*CALLS, *CASES, *MISTAKES])
 def test_it_is_refused_with_one_message_and_nothing_is_written(name, bench, call, snapshot):
     (bench / "folder.xyz").mkdir()
-    os.mkfifo("pipe")
+    for each in ("pipe", "pipe.vtm", "pipe.xyz", "pipe.json", "pipe.png", "pipe.toml"):
+        os.mkfifo(each)
+    os.symlink("pipe.xyz", "link.xyz")
+    os.symlink("old.xyz", "link.vtm")
     if name in MISTAKES:
         prepare, arguments, fragment = MISTAKES[name]
         prepare()

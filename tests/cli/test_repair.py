@@ -52,7 +52,8 @@ def test_walls_that_have_passed_through_each_other_are_reported(call, bench):
 def test_nothing_is_written_in_a_dry_run_and_inputs_stay(spoilt, bench):
     done = spoilt("repair", "bad.invalid.xyz", "--reference", "grid.xyz", "-c", "case.toml", "--dry-run")
     assert done.code == 0
-    assert "nothing written" in done.err
+    judged = json.loads(spoilt("quality", "bad.invalid.xyz", "--reference", "grid.xyz", "--json").out)
+    assert f"{len(judged['invalid_cells'])} cells are invalid; dry run, nothing written\n" in done.err
     for target in ("bad.invalid.xyz", "grid.xyz"):
         done = spoilt("repair", "bad.invalid.xyz", "--reference", "grid.xyz", "-o", target, "--force")
         assert done.code == 2

@@ -78,6 +78,7 @@ def test_the_report_has_every_level_and_shows_that_preparation_happened_once(don
     report = done
     assert (report["schema"], report["valid"]) == (1, True)
     assert [level["time"] for level in report["levels"]] == [0, 0.25, 0.5, 0.75, 1]
+    assert json.loads(Path("out/series.json").read_text())["complete"] is True
     prepare = [level["timing"].get("prepare", 0.0) for level in report["levels"]]
     assert prepare[0] > 0
     assert prepare[1:] == [0.0] * 4
@@ -115,6 +116,8 @@ def test_times_are_those_of_the_displacement_files(swing, call):
     report = report_of(call, *RUN[:-2])
     assert [level["time"] for level in report["levels"]] == [0, 3]
     assert report["levels"][1]["max_displacement"] == pytest.approx(0.1)
+    (swing / "two.toml").write_text(text.replace("motion = [", "motion = [{ files = 'move_*.csv', times = [0, 4] }, "))
+    assert "the case has sequences with different times; give" in call(*RUN[:2], "-c", "two.toml", "-o", "new").err
     assert "no level at t = 1" in call(*RUN[:4], "-o", "new", "--times", "0:3:1").err
 
 
@@ -131,19 +134,20 @@ def test_displacement_files_alone_are_enough(swing, call):
 
 def test_a_broken_level_is_written_and_gives_exit_3(swing, call):
     (swing / "swing.toml").write_text(SWING.replace("20*sin(2*pi*t)", "150*sin(pi*t)"))
-    result = call("series", *RUN[1:-1], "0:1:0.5", "--repair", "off", "--report", "r.json")
+    result = call(*RUN, "--repair", "off", "--report", "r.json")
     assert result.code == 3
-    assert "1 of 3 levels are not valid, first level 1 (t = 0.5)" in result.err
+    assert "3 of 5 levels are not valid, first level 1 (t = 0.25)" in result.err
     report = json.loads(Path("r.json").read_text())
-    assert [level["valid"] for level in report["levels"]] == [True, False, True]
+    assert [level["valid"] for level in report["levels"]] == [True, False, False, False, True]
     assert report["levels"][1]["invalid_cells"][0]["nearest_patch"] in ("body", "span")
     assert len(report["levels"][1]["invalid_cells"]) == 20 < report["levels"][1]["quality"]["invalid_cells"]
     assert "It is in grid_0001.invalid.xyz" in result.err
-    assert [level["file"] for level in report["levels"]] == ["grid_0000.xyz", "grid_0001.invalid.xyz", "grid_0002.xyz"]
+    files = [f"grid_{n:04d}{'' if n in (0, 4) else '.invalid'}.xyz" for n in range(5)]
+    assert [level["file"] for level in report["levels"]] == files
     assert not Path("out/grid_0001.xyz").exists()
     assert "grid_0001.invalid.xyz" in Path("out/grid.series.p3d").read_text()
     invalid = read_grid("out/grid_0001.invalid.xyz").points
-    assert call("series", *RUN[1:-1], "0:1:0.5", "--repair", "off", "--force", "--allow-invalid").code == 0
+    assert call(*RUN, "--repair", "off", "--force", "--allow-invalid").code == 0
     assert not Path("out/grid_0001.invalid.xyz").exists()
     np.testing.assert_array_equal(read_grid("out/grid_0001.xyz").points, invalid)
 
@@ -200,27 +204,22 @@ def test_later_tables_are_checked_like_the_first(swing, call):
     assert sum("lie on no face" in text for text in result.warnings) == 1
 
 
-KILLED = """\
-import os, pathlib, signal, sys
-calls = 0
-def counted(function):
-    def wrapper(*args, **options):
-        global calls
-        calls += 1
-        if calls == int(sys.argv[1]):
-            os.kill(os.getpid(), signal.SIGKILL)
-        return function(*args, **options)
-    return wrapper
-os.replace, pathlib.Path.rename = counted(os.replace), counted(pathlib.Path.rename)
-from meshdeform_cli.main import main
-main(sys.argv[2:])
+STOPPED = """\
+import os, signal, sys
+from meshdeform_cli import main, series_run
+record = series_run._record
+def recorded(*given):
+    record(*given)
+    os.kill(os.getpid(), signal.SIGINT)
+series_run._record = recorded
+main.main(sys.argv[1:])
 """
 
 
 @pytest.mark.parametrize("suffix", [".xyz", ".vtu"])
 def test_a_signal_says_how_to_continue(swing, call, suffix):
     options = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", "-o", "stopped", "--suffix", suffix)
-    command = [sys.executable, "-c", KILLED.replace("SIGKILL", "SIGINT"), "4", *options]
+    command = [sys.executable, "-c", STOPPED, *options]
     # Shells start what runs in the background with the signal ignored.
     heard = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     stopped = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, preexec_fn=heard)
@@ -234,6 +233,12 @@ def test_a_finished_series_is_left_alone(done, call, snapshot):
     before = snapshot(Path("out"))
     assert report_of(call, *RUN, "--resume")["levels"] == done["levels"]
     assert snapshot(Path("out")) == before
+    advice = "use --resume to continue it, or --force to start again"
+    assert call(*RUN).error == f"meshdeform: error: out/series.json exists; {advice}\n"
+    Path("out/series.json").unlink()
+    for more in ((), ("--resume",)):
+        told = "meshdeform: error: out/grid_0000.xyz exists; use --force to overwrite it\n"
+        assert (call(*RUN, *more).code, call(*RUN, *more).error) == (2, told)
 
 
 @pytest.mark.parametrize("deleted", [True, False])
@@ -244,6 +249,7 @@ def test_a_level_that_is_not_what_was_written_is_made_again(deleted, done, call)
     Path("out/grid_0003.xyz").write_bytes(damaged)
     if deleted:
         Path("out/grid_0003.xyz").unlink()
+    Path("out/grid_0004.xyz").unlink()
     again = call(*RUN, "--resume")
     assert again.code == 0
     told = "grid_0003.xyz is not what was written: level 3 and those after it are made again"

@@ -1,7 +1,6 @@
 """The start of a command: what it imports; compiling is told once, timed apart, done ahead, or without a cache."""
 
 import importlib
-import json
 import os
 import re
 import subprocess
@@ -10,6 +9,7 @@ import sys
 import pytest
 from grids import frame, with_walls
 
+from meshdeform_cli import process
 from meshdeform_core import setup
 from meshdeform_core.numerics import jit
 from meshdeform_formats import write_grid
@@ -31,11 +31,8 @@ def imported(*commands: str) -> str:
     return done.stdout.splitlines()[-1]
 
 
-def test_help_imports_nothing_heavy():
+def test_help_imports_nothing_heavy_and_info_neither_numba_nor_scipy(tmp_path, monkeypatch):
     assert imported("--help", "deform --help", "series --help") == "[0, 0, 0] [] False"
-
-
-def test_info_needs_neither_numba_nor_scipy(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("grid.cgns", "grid.xyz"):
         write_grid(with_walls(frame()), name)
@@ -87,20 +84,17 @@ def _started(*command, cache):
     return subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True)
 
 
-@pytest.mark.slow
-def test_the_first_run_says_that_it_compiles_and_counts_it_apart(bench, tmp_path):
-    command = ["-m", "meshdeform_cli", "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--force"]
-    command += ["-m", "tfi", "--steps", "1", "--repair", "off"]
-    runs = [_started(*command, "--report", "out.json", cache=tmp_path / "loops") for _ in range(2)]
-    assert [run.returncode for run in runs] == [0, 0]
-    assert (
-        len(re.findall(r"compiling \d+ loops in \d process(es)?, about \d+ s, once per installation", runs[0].stderr))
-        == 1
-    )
-    assert "compiling" not in runs[1].stderr
-    first = json.loads((bench / "out.json").read_text())["timing"]
-    assert "compile" not in first  # of the second run
-    assert len(list((tmp_path / "loops").rglob("*.nbc"))) > 5
+def test_compiling_is_told_once_with_what_it_takes_and_whether_the_next_start_compiles_again(monkeypatch, capsys):
+    monkeypatch.setattr(jit, "SECONDS_PER_LOOP", 4.0)
+    for cached, enabled in ((True, True), (False, True), (True, False)):
+        monkeypatch.setattr(jit.compile_clock, "cached", cached)
+        with process.ProgressBar(enabled) as bar:
+            for done in (0, 2) if jit.compile_clock.notice else ():
+                jit.compile_clock.notice(jit.Compiled(done, 3, 2))
+            assert bar.current == (("compile", 2, 3) if enabled else None)
+    often = "once per installation", "at every start: no folder for them can be written; NUMBA_CACHE_DIR may name one"
+    told = [f"meshdeform: compiling 3 loops in 2 processes, about 6 s, {each}" for each in often]
+    assert capsys.readouterr().err.splitlines() == told
 
 
 def test_compiling_is_a_stage_of_its_own(monkeypatch):

@@ -1,12 +1,14 @@
 """On the terminal: boundaries beside converted grids, and progress."""
 
+import io
 import json
-import os
 import re
-import subprocess
 import sys
+from collections.abc import Callable
+from functools import partial
 
 import pytest
+import rich.progress
 
 from meshdeform_cli import process
 
@@ -32,6 +34,13 @@ def test_boundaries_are_kept_beside_what_has_no_place_for_them(bench, call):
     assert call("repair", "grid.cgns", "--reference", "grid.cgns", "-o", "whole.xyz").code == 0
     for name in ("bent.nmf", "levels/grid.nmf", "whole.nmf"):
         assert (bench / name).read_bytes() == (bench / "new.nmf").read_bytes()
+    # Those that a case names are those of the reference, too, and their file stays as it is.
+    (bench / "named.toml").write_text(
+        '[grid]\nboundary_file = "new.nmf"\n[[boundary]]\nselect = ["body"]\nkind = "fixed"'
+    )
+    (bench / "new.nmf").write_bytes((bench / "new.nmf").read_bytes() + b"# mine\n")
+    for command, *more in (("quality",), ("repair", "-o", "new.vtm")):
+        assert call(command, "new.xyz", "--reference", "grid.xyz", "-c", "named.toml", *more).code == 0
     lost = "patches of the grid; add the outside faces with their families by --variant boundary=true"
     for variant in ("false", "true"):
         told = call("deform", *case, "-o", "a.vtu", "--force", "--json", "--variant", f"boundary={variant}").out
@@ -59,89 +68,12 @@ def test_boundaries_that_are_there_already_are_left_alone(bench, call):
 # progress
 
 
-def on_a_terminal(code: str, **environment: str) -> tuple[str, int]:
-    """What a Python program writes to a terminal that is its stderr, and its exit code."""
-    import pty
-
-    parent, child = pty.openpty()
-    told = {
-        name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE")
-    }
-    process = subprocess.Popen(
-        [sys.executable, "-c", code], stderr=child, stdout=subprocess.DEVNULL,
-        env={**told, "TERM": "xterm-256color", "COLUMNS": "100", **environment},
-    )  # fmt: skip
-    os.close(child)
-    seen = b""
-    while True:
-        try:
-            part = os.read(parent, 65536)
-        except OSError:
-            break
-        if not part:
-            break
-        seen += part
-    os.close(parent)
-    return seen.decode(errors="replace"), process.wait(timeout=30)
-
-
-DRAWN = """
-import os, threading
-import rich.progress
-from meshdeform_cli import process
-
-drawn = threading.Event()
-
-class Watched(rich.progress.Progress):
-    def update(self, *args, **more):
-        super().update(*args, **more)
-        self.refresh()
-        drawn.set()
-
-def shown():
-    # What is under way may have begun with the stage before.
-    for _ in range(3):
-        drawn.clear()
-        assert drawn.wait(60)
-
-rich.progress.Progress, process.PATIENCE, process._TICK = Watched, 0.0, 0.001
-for colour in ({}, {"NO_COLOR": "1"}):
-    os.environ |= colour
-    with process.ProgressBar(compiles=False) as bar:
-        bar("idw", 2, 8)
-        shown()
-        bar("levels", 1, 2)
-        bar("idw", 4, 8)
-        shown()
-        with process.stage("write"):
-            shown()
-    os.write(2, b"|")
-with process.ProgressBar(False, compiles=False) as bar:
-    bar("idw", 2, 8)
-    assert bar._display is None
-"""
-
-
-def test_a_terminal_shows_stages_and_what_remains():
-    seen, code = on_a_terminal(DRAWN)
-    assert code == 0
-    coloured, plain, quiet = seen.split("|")
-    for words in ("idw", "levels", "write", "remaining", "50%", "0:00:0"):
-        assert words in coloured
-        assert words in plain
-    assert re.search(r"\x1b\[[0-9;]*3[0-8][;0-9]*m", coloured)
-    assert not re.search(r"\x1b\[[0-9;]*3[0-8][;0-9]*m", plain)
-    # The bar goes when all is done, and a terminal needs no summary.
-    assert coloured.rstrip().endswith(("\x1b[?25h", "\x1b[2K")) or "\x1b[2K" in coloured[-60:]
-    assert "meshdeform:" not in seen
-    assert quiet == ""
-
-
 class Clock:
-    """In place of the module ``time``, and of the event that ends the display: waiting only sets the clock forward."""
+    """In place of the module ``time``, and of the event that ends the display: waiting only sets the clock forward, and
+    each time does one of the steps; without any more it ends."""
 
-    def __init__(self, waits: int = 0):
-        self.now, self.waited, self._waits = 0.0, [], waits
+    def __init__(self, *steps: Callable[[], object]):
+        self.now, self.waited, self._steps = 0.0, [], list(steps)
 
     def perf_counter(self) -> float:
         return self.now
@@ -149,19 +81,60 @@ class Clock:
     def wait(self, seconds: float) -> bool:
         self.waited.append(seconds)
         self.now += seconds
-        return len(self.waited) > self._waits
+        if not self._steps:
+            return True
+        self._steps.pop(0)()
+        return False
+
+
+class Terminal(io.StringIO):
+    """In place of stderr."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+class Refreshed(rich.progress.Progress):
+    """Drawn at every update."""
+
+    def update(self, *args, **more):
+        super().update(*args, **more)
+        self.refresh()
+
+
+@pytest.mark.parametrize("coloured", [True, False])
+def test_a_terminal_shows_stages_and_what_remains(coloured, monkeypatch):
+    monkeypatch.setattr(rich.progress, "Progress", Refreshed)
+    for name in ("NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "COLORTERM"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in (("TERM", "xterm-256color"), ("COLUMNS", "100"), *[("NO_COLOR", "1")] * (not coloured)):
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    bar = process.ProgressBar(compiles=False)
+    steps = [partial(bar, *step) for step in (("idw", 2, 8), ("levels", 1, 2), ("idw", 4, 8), ("write", 0, 0))]
+    bar._over = Clock(int, *steps)
+    bar._draw()
+    text = sys.stderr.getvalue()
+    for words in ("idw", "levels", "write", "remaining", "25%", "50%", "0:00:0"):
+        assert words in text
+    # The bar goes when all is done.
+    assert "\x1b[2K" in text[-60:]
+    assert bool(re.search(r"\x1b\[[0-9;]*3[0-8][;0-9]*m", text)) == coloured
+    assert bar._over.waited[0] == 1.0
+    with process.ProgressBar(False, compiles=False) as bar:
+        assert bar._display is None
 
 
 def test_long_work_tells_a_log_how_far_it_is(monkeypatch, capsys):
     """At intervals that grow with the time taken, but not without bound."""
-    clock = Clock(waits=8)
+    clock = Clock(*[int] * 8)
     monkeypatch.setattr(process, "time", clock)
     bar = process.ProgressBar(compiles=False)
     bar._over = clock
     bar("levels", 0, 2)
-    bar("idw", 3, 8)
+    bar("idw", 9, 8)
     bar._log()
     assert clock.waited == pytest.approx([10.0, 10.0, 10.0, 15.0, 22.5, 33.75, 50.625, 60.0, 60.0])
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 8
-    assert lines[:2] == [f"meshdeform: {n} s, levels 0 of 2, idw 3 of 8" for n in (10, 20)]
+    assert lines[:2] == [f"meshdeform: {n} s, levels 0 of 2, idw 8 of 8" for n in (10, 20)]

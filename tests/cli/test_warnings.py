@@ -23,14 +23,15 @@ def test_warnings_go_to_stderr_and_into_the_report(options, doubtful, call):
     assert any("not selected by any boundary entry" in text for text in result.warnings)
     assert json.loads((doubtful / "out.json").read_text())["warnings"] == result.warnings
     assert "not selected by any boundary entry" not in result.out
+    assert call("quality", "grid.xyz", "-c", "doubtful.toml", *options).warnings == result.warnings
 
 
 def test_strict_refuses_and_writes_nothing(doubtful, call, snapshot):
     before = snapshot(doubtful)
-    result = call(*DOUBTFUL, "--strict")
-    assert result.code == 2
-    assert result.warnings
-    assert result.error == "meshdeform: error: a warning (see above) and --strict\n"
+    for more, told in (((), "a warning"), (("--time", "2"), "2 warnings")):
+        result = call(*DOUBTFUL, "--strict", *more)
+        assert (result.code, len(result.warnings)) == (2, 1 + len(more) // 2)
+        assert result.error == f"meshdeform: error: {told} (see above) and --strict\n"
     assert snapshot(doubtful) == before
     series = ("series", "grid.xyz", "-c", "doubtful.toml", "--times", "0:1:0.5", "-o", "out", "--strict")
     assert call(*series).code == 2
@@ -44,12 +45,6 @@ def test_warnings_of_a_level_name_it_on_stderr_as_in_the_report(doubtful, call):
     result = call(*words, "-s", "constants.turn=80", "-m", "tfi", "--repair", "off", "--steps", "1", "--allow-invalid")
     assert result.warnings == json.loads((doubtful / "out.json").read_text())["warnings"]
     assert [text.startswith("level ") for text in result.warnings][:2] == [False, True]
-
-
-def test_quality_warns_on_stderr(doubtful, call):
-    result = call("quality", "grid.xyz", "-c", "doubtful.toml", "-q")
-    assert result.code == 0
-    assert result.warnings
 
 
 RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
@@ -66,3 +61,5 @@ def test_motion_in_time_without_a_time_says_which_it_was(bench, call):
     (bench / "case.toml").write_text(case)
     assert "evaluated at t = 0" in call(*RUN).err
     assert call(*RUN, "--time", "0", "--force").err == ""
+    plan = json.loads(call(*RUN, "--time", "3", "--dry-run", "--json", "-q").out)
+    assert plan["motion"][0]["max_rotation_deg"] == pytest.approx(40.0)

@@ -114,13 +114,21 @@ def test_command_writes_data_tables_and_figures(tmp_path, capsys):
     shown = capsys.readouterr()
     assert "IDW lie (ours)" in shown.out
     assert "figB lie-corner (4 of 7)" in shown.err
-    data = json.loads((out / "figB.json").read_text())
-    assert {row["key"] for row in data["rows"]} == {row["key"] for row in paper()["figB"]["rows"]}
-    for row in data["rows"]:
-        assert {"method", "f_skew", "paper_f_skew", "relative_cost", "paper_relative_cost", "seconds", "gflop"} <= set(
-            row
-        )
-        assert {"paper_gflop", "remark", "quality"} <= set(row)
+    data, printed = json.loads((out / "figB.json").read_text()), paper()["figB"]["rows"]
+    assert [row["key"] for row in data["rows"]] == [row["key"] for row in printed]
+    (one,) = (row for row in data["rows"] if row["key"] == "one-centre")
+    lines = [line.split(" | ") for line in shown.out.splitlines() if line.startswith("| ")][2:]
+    for row, told, (_, mean, theirs, off, *_) in zip(data["rows"], printed, lines, strict=True):
+        assert {"seconds", "gflop", "paper_gflop", "remark", "quality"} <= set(row)
+        assert (row["method"], row["paper_f_skew"]) == (told["method"], told.get("f_skew"))
+        for cost, seconds in (("relative_cost", "cpu_seconds"), ("relative_apply_cost", "cpu_apply_seconds")):
+            ratio = pytest.approx(row[seconds] / one[seconds])
+            assert row[cost] == (ratio if row["nodes"] == one["nodes"] else None)
+        paper_mean = told.get("f_skew")
+        known = ("", "") if paper_mean is None else (f"{paper_mean:.2f}", f"{row['f_skew'] - paper_mean:+.3f}")
+        assert (mean, theirs, off) == (f"{row['f_skew']:.4f}", *known)
+    assert "beam 400, origin = (2.0, 1.0), center = 2.0" in [row["sample"] for row in data["rows"]]
+    assert data["figures"] == ["fig17-beam-a.png", "fig17-beam-b.png"]
     assert data["machine"]["processor"]
     for figure in data["figures"]:
         assert (out / figure).read_bytes().startswith(b"\x89PNG\r\n")

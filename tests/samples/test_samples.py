@@ -9,10 +9,45 @@ import pytest
 
 from meshdeform_cli.main import run
 from meshdeform_core.deform import Timing, impose, set_up
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid.topology import find_topology, quads_of_patches
 from meshdeform_core.methods import Options
 from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case
-from meshdeform_samples import SAMPLES, folder, load
+from meshdeform_samples import SAMPLES, folder, generate, load
+
+WALL, FAR, PLANE = "BCWall", "BCFarfield", "BCSymmetryPlane"
+# A size and its cells, from the paper or from areas over those of cells; a wrong size; patches with their types.
+SIZES = {
+    "square": (21, 20 * 20, 2, dict.fromkeys(("bottom", "top", "left", "right"), WALL)),
+    "airfoil": (401, 400 * 240, 8, {"airfoil": WALL, "outer": FAR}),
+    "splitter-plate": (8, (12 * 13 - 1 - 5 * 0.25) * 8**2 * 4, 12, {"span": PLANE, "body": WALL, "outer": FAR}),
+    "hemisphere": (12, 17 * (12 * 12 + 4 * 12 * 9), 10, {"plate": WALL, "membrane": WALL, "outer": FAR}),
+    "beam": (40, 40 * 21 - 10, 60, {"outer": FAR, "beam": WALL}),
+    "wing": (12, 2 * 24 * 18 * 12, 10, {"symmetry": PLANE, "wing": WALL, "far": FAR}),
+    "cascade": (16, 47 * 16**2, 5, {"bar": WALL, "inlet": "BCInflow", "outlet": "BCOutflow", "lower": "", "upper": ""}),
+    "valve": (16, 36 * 17 * 4 - 64, 12, {"sides": PLANE, "flap": WALL, "floor": WALL, "channel": FAR}),
+    "workshop-cylinder": (8, 5 * 8 * 8, 3, {"wall": WALL}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_sizes_and_patches(name):
+    size, cells, wrong, types = SIZES[name]
+    module = load(name)
+    grid, most = module.generate(size), 10 * max(module.SIZES.values())
+    assert (grid.n_cells, {patch.name: patch.bc_type for patch in grid.patches}) == (cells, types)
+    topology = find_topology(grid)
+    quads = np.sort(quads_of_patches(topology.quads, grid.patches)[0])
+    np.testing.assert_array_equal(quads, np.flatnonzero(topology.external))
+    assert bool(grid.connections) == (name != "square")
+    for given, message in (
+        (wrong, f"size = {wrong} .*; expected"),
+        (most + 1, f"size = {most + 1}; expected at most {most}"),
+        ("\u0661", "--size '\u0661'; expected a whole number or one of small"),
+    ):
+        with pytest.raises(CaseError, match=f"sample {name}: {message}"):
+            generate(name, given)
 
 
 def documented(name, command):
