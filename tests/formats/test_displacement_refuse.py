@@ -33,6 +33,8 @@ TEXTS = {
     "x y z dx dy dz n\n1 2 3 4 5 b a\n": "line 2: 'b' is not a number",
     ROW + "# c\n2 2 3 4 5 nan\n": "line 3: the displacement (4, 5, nan) is not finite (1 such row)",
     ROW + "-inf 2 3 4 5 6\n": "line 2: the point (-inf, 2, 3) is not finite",
+    "1 2 3 1e-12 0 0\n1 2 3 2e-12 0 0\n": "the point (1, 2, 3) has two displacements, (1e-12, 0, 0) in line 1",
+    "x y z dx\n1 2 3 4\n": "expected a name for each of 4 columns, x y z (or x y) and dx dy dz (or dx dy) among them",
     ROW + "2 2 3 4 5 6\n\n1 2 3 4 5 7\n": "(4, 5, 6) in line 1 and (4, 5, 7) in line 4; keep one of them",
     "x[m] y[m] z[m] dx[mm] dy[mm] dz[mm]\n" + ROW: "lengths in m, mm; expected all in the grid's unit",
     "x y z(m) dx dy dz(Inch)\n" + ROW: "lengths in inch, m; expected all in the grid's unit",
@@ -73,15 +75,11 @@ def surface(path, data, kind=None):
     meshio.Mesh(POINTS, [("triangle", [[0, 1, 2]])], data).write(path, file_format=kind)
 
 
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        ({}, "found none"),
-        ({"p": POINTS[:, 0].copy()}, "found p scalar"),
-        ({"a": POINTS, "b": POINTS}, r"found a \(3,\), b \(3,\)"),
-        ({"disp": POINTS * np.nan}, r"row 1: the displacement \(nan, nan, nan\) is not finite \(4 such rows\)"),
-    ],
-)
+@pytest.mark.parametrize(("data", "message"), [
+    ({}, "found none"), ({"p": POINTS[:, 0].copy()}, "found p scalar"),
+    ({"a": POINTS, "b": POINTS}, r"found a \(3,\), b \(3,\)"),
+    ({"disp": POINTS * np.nan}, r"row 1: the displacement \(nan, nan, nan\) is not finite \(4 such rows\)"),
+])  # fmt: skip
 @pytest.mark.parametrize("suffix", [".vtu", ".xdmf"])
 def test_surfaces_without_a_displacement(tmp_path, data, message, suffix):
     surface(tmp_path / f"a{suffix}", data)
@@ -137,33 +135,38 @@ def test_polygons(tmp_path, cells):
             read_displacement(tmp_path / "a.vtk")
 
 
-def unstructured(types="5", offsets="3", connectivity="0 1 2"):
+def unstructured(types="5", offsets="3", connectivity="0 1 2", n=3):
     words = {"types": ("UInt8", types), "offsets": ("Int64", offsets), "connectivity": ("Int64", connectivity)}
     cells = "".join(f'<DataArray type="{t}" Name="{n}" format="ascii">{w}</DataArray>' for n, (t, w) in words.items())
     points, moves = (
-        f'<DataArray type="Float64" Name="{name}" NumberOfComponents="3" format="ascii">0 0 0 1 0 0 0 1 0</DataArray>'
+        f'<DataArray type="Float64" Name="{name}" NumberOfComponents="3" format="ascii">{" 0 1 2" * n}</DataArray>'
         for name in ("Points", "U")
     )
     return (
         '<VTKFile type="UnstructuredGrid" byte_order="LittleEndian"><UnstructuredGrid>'
-        f'<Piece NumberOfPoints="3" NumberOfCells="1"><PointData>{moves}</PointData><Points>{points}</Points>'
+        f'<Piece NumberOfPoints="{n}" NumberOfCells="1"><PointData>{moves}</PointData><Points>{points}</Points>'
         f"<Cells>{cells}</Cells></Piece></UnstructuredGrid></VTKFile>"
     )
 
 
-@pytest.mark.parametrize(
-    ("cell", "message"),
-    [
-        ({"types": "9"}, "has cells with fewer nodes than corners"),
-        ({"types": "99"}, "cells of type 99, which VTK does not have"),
-        ({"offsets": "7"}, "cannot read|do not ascend"),
-        ({"connectivity": "0 1 7"}, "triangles refer to points 0 to 7 of 3"),
-        ({"types": "five"}, "cannot read"),
-    ],
-)
+FAN, STRIP = [[0, 1, 2], [0, 2, 3], [0, 3, 4]], [[0, 1, 2], [1, 2, 3], [2, 3, 4]]
+KINDS = {3: (2, []), 5: (3, FAN[:1]), 22: (6, FAN[:1]), 34: (7, FAN[:1]), 9: (4, FAN[:2]), 23: (8, FAN[:2]),
+         28: (9, FAN[:2]), 7: (5, FAN), 6: (5, STRIP), 10: (4, [])}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_cells_of_vtk_become_triangles_of_their_corners(tmp_path, kind):
+    n, triangles = KINDS[kind]
+    (tmp_path / "a.vtu").write_text(unstructured(kind, n, " ".join(map(str, range(n))), n))
+    assert read_displacement(tmp_path / "a.vtu").triangles.tolist() == triangles
+
+
+@pytest.mark.parametrize(("cell", "message"), [
+    ({"types": "9"}, "has cells with fewer nodes than corners"), ({"types": "five"}, "cannot read"),
+    ({"types": "99"}, "cells of type 99, which VTK does not have"), ({"offsets": "7"}, "cannot read|do not ascend"),
+    ({"connectivity": "0 1 7"}, "triangles refer to points 0 to 7 of 3"),
+])  # fmt: skip
 def test_wrong_cells(tmp_path, capfd, cell, message):
-    (tmp_path / "a.vtu").write_text(unstructured())
-    assert read_displacement(tmp_path / "a.vtu").triangles.tolist() == [[0, 1, 2]]
     (tmp_path / "a.vtu").write_text(unstructured(**cell))
     with pytest.raises(FormatError, match=message):
         read_displacement(tmp_path / "a.vtu")
@@ -175,6 +178,7 @@ OBJECT = np.array([{}], dtype=object)
 
 @pytest.mark.parametrize(("arrays", "message"), [
     (np.zeros((3, 5)), r"holds float64 numbers of shape \(3, 5\); expected \(n, 6\) or \(n, 4\)"),
+    (np.zeros((3, 4), dtype=complex), r"holds complex128 numbers of shape \(3, 4\); expected"),
     (OBJECT, "allow_pickle=False"),
     ({"points": POINTS, "shift": POINTS}, r"found points \(4, 3\), shift \(4, 3\)"),
     ({"points": POINTS, "displacement": POINTS[:3]}, "has 4 points but 3 displacements"),
@@ -267,18 +271,13 @@ $EndElements
 """
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("2 2 2 0 1 2 3 4", "2 2   0 1 2 3 4", "does not have the nodes of its type"),
-        ("1 1 2 3", "1 1 2 0", "does not have the nodes of its type"),
-        ("3 1 1 0\n", "2.5 1 1 0\n", "different whole numbers"),
-        ("3 1 1 0\n", "2 1 1 0\n", "different whole numbers"),
-        ("3 0 0 1\n4", "4 0 0 1\n3", "in the order of \\$Nodes"),
-        ("4 0 0 1\n", "", "reshape"),
-        ("$EndNodeData", "$EndNodeData\n" + GMSH[GMSH.index("$NodeData") :], "have the same name"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("2 2 2 0 1 2 3 4", "2 2   0 1 2 3 4", "does not have the nodes of its type"),
+    ("1 1 2 3", "1 1 2 0", "does not have the nodes of its type"),
+    *(("3 1 1 0\n", f"{number} 1 1 0\n", "different whole numbers") for number in ("2.5", "2", "0")),
+    ("3 0 0 1\n4", "4 0 0 1\n3", "in the order of \\$Nodes"), ("4 0 0 1\n", "", "reshape"),
+    ("$EndNodeData", "$EndNodeData\n" + GMSH[GMSH.index("$NodeData") :], "have the same name"),
+])  # fmt: skip
 @pytest.mark.parametrize("version", [2, 4])
 def test_what_meshio_would_misread_of_gmsh(tmp_path, old, new, message, version):
     if version == 4 and "type" in message:

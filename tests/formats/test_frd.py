@@ -7,10 +7,9 @@ from meshdeform_core.boundary.motions.histories import Modes
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_formats.case import case_of
 from meshdeform_formats.displacement import read_displacement
-from meshdeform_formats.displacement.frd import SOLIDS, outer_faces, read_shapes
+from meshdeform_formats.displacement.frd import read_shapes
 
 HEXAHEDRON = 1
-QUAD = 9
 
 
 def box(ni: int, nj: int, nk: int):
@@ -22,21 +21,28 @@ def box(ni: int, nj: int, nk: int):
     return number.ravel(), points, cells
 
 
-def rows(numbers, values) -> list[str]:
-    return [f" -1{n:10d}" + "".join(f"{v:12.5E}" for v in row) for n, row in zip(numbers, values, strict=True)]
+def rows(numbers, values, width=10) -> list[str]:
+    pairs = zip(numbers, values, strict=True)
+    return [f" -1{n:{width}d}" + "".join(f"{v:12.5E}" for v in row) for n, row in pairs]
 
 
-def frd(numbers, points, cells, shapes, kind=HEXAHEDRON, name="DISP", analysis=2) -> str:
-    lines = ["    1C", f"    2C{'':18s}{len(numbers):12d}{'':37s}1", *rows(numbers, points), " -3"]
-    lines += [f"    3C{'':18s}{len(cells):12d}{'':37s}1"]
+def frd(numbers, points, cells, shapes, kind=HEXAHEDRON, name="DISP", analysis=2, width=10) -> str:
+    """Node numbers of 5 or 10 digits, and up to ten nodes of an element in a line."""
+    form = f"{'':37s}{width // 10}"
+    lines = ["    1C", f"    2C{'':18s}{len(numbers):12d}{form}", *rows(numbers, points, width), " -3"]
+    lines += [f"    3C{'':18s}{len(cells):12d}{form}"]
     for n, cell in enumerate(cells, start=1):
-        lines += [f" -1{n:10d}{kind:5d}    0    1", " -2" + "".join(f"{node:10d}" for node in cell)]
+        digits = [f"{node:{width}d}" for node in cell]
+        lines += [f" -1{n:{width}d}{kind:5d}    0    1", " -2" + "".join(digits[:10])]
+        lines += [" -2" + "".join(digits[10:])] if digits[10:] else []
     lines.append(" -3")
     for n, shape in enumerate(shapes, start=1):
         lines += [f"    1PMODE{n:25d}"]
-        lines += [f"  100CL  10{n} {10.0 * n:11.6f}{len(numbers):12d}{'':20s}{analysis:2d}{n:5d}MODAL     {1:2d}"]
+        lines += [
+            f"  100CL  10{n} {10.0 * n:11.6f}{len(numbers):12d}{'':20s}{analysis:2d}{n:5d}MODAL     {width // 10:2d}"
+        ]
         lines += [f" -4  {name:8s}    4    1", " -5  D1          1    2    1    0"]
-        lines += [" -5  ALL         1    2    0    0    1ALL", *rows(numbers, shape), " -3"]
+        lines += [" -5  ALL         1    2    0    0    1ALL", *rows(numbers, shape, width), " -3"]
     return "\n".join([*lines, " 9999", ""])
 
 
@@ -61,33 +67,33 @@ def test_shapes_of_a_solid_at_its_surface(tmp_path, model):
     assert np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0 == pytest.approx(2 * 4 * 1.5)
 
 
-def test_shells_and_beams(tmp_path, model):
-    numbers, points, _, shapes = model
-    quads = np.array([[11, 20, 32, 23], [20, 29, 41, 32]])
-    (tmp_path / "shell.frd").write_text(frd(numbers, points, quads, shapes, kind=QUAD))
-    found = read_shapes(tmp_path / "shell.frd")[1]
-    used = np.isin(numbers, quads)
-    np.testing.assert_array_equal(found.points, points[used])
-    np.testing.assert_allclose(found.displacement, shapes[1][used], rtol=1e-5, atol=1e-12)
-    assert len(found.triangles) == 4
-    (tmp_path / "beam.frd").write_text(frd(numbers, points, [[11, 14]], shapes, kind=11))
-    beam = read_shapes(tmp_path / "beam.frd")[0]
-    np.testing.assert_array_equal(beam.points, points)
-    assert not len(beam.triangles)
+SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+BRICK = np.concatenate([SQUARE, SQUARE + [0, 0, 1]])
+PRISM = np.concatenate([SQUARE[[0, 1, 3]], SQUARE[[0, 1, 3]] + [0, 0, 1]])
+# Nodes, corners, triangles, and the volume that these enclose or their area, of each type of element.
+ELEMENTS = {1: (8, 8, 12, 1), 2: (6, 6, 8, 1 / 2), 3: (4, 4, 4, 1 / 6), 4: (20, 8, 12, 1), 5: (15, 6, 8, 1 / 2),
+            6: (10, 4, 4, 1 / 6), 7: (3, 3, 1, 1 / 2), 8: (6, 3, 1, 1 / 2), 9: (4, 4, 2, 1), 10: (8, 4, 2, 1),
+            11: (2, 2, 0, 0), 12: (3, 2, 0, 0)}  # fmt: skip
 
 
-@pytest.mark.parametrize("corners", SOLIDS)
-def test_faces_of_solids_show_outwards(corners):
-    """By the volume that they enclose."""
-    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    base = square if corners == 8 else square[[0, 1, 3]]
-    points = np.concatenate([base, base + [0, 0, 1]])[:corners]
-    volume = 0.0
-    for faces in outer_faces([np.arange(corners)[None]]):
-        for second in range(1, faces.shape[1] - 1):
-            a, b, c = (points[faces[:, n]] for n in (0, second, second + 1))
-            volume += np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0
-    assert volume == pytest.approx({4: 1 / 6, 6: 1 / 2, 8: 1.0}[corners])
+@pytest.mark.parametrize("width", [5, 10])
+@pytest.mark.parametrize("kind", ELEMENTS)
+def test_elements_of_every_type(tmp_path, kind, width):
+    """Faces of solids show outwards; elements without faces count with all their nodes."""
+    count, corners, triangles, content = ELEMENTS[kind]
+    places = (PRISM if kind in (2, 3, 5, 6, 7, 8) else BRICK)[:corners]
+    points = np.concatenate([places, np.full((count - corners, 3), 9.0)])
+    shapes = [points + 1, points * 2]
+    (tmp_path / "m.frd").write_text(frd(range(7, 7 + count), points, [range(7, 7 + count)], shapes, kind, width=width))
+    for data, shape in zip(read_shapes(tmp_path / "m.frd"), shapes, strict=True):
+        used = corners if triangles else count
+        np.testing.assert_array_equal(data.points, points[:used])
+        np.testing.assert_array_equal(data.displacement, shape[:used])
+        a, b, c = data.points[data.triangles].transpose(1, 0, 2)
+        area = np.cross(b - a, c - a) / 2
+        solid = len(area) > 2
+        found = np.einsum("ni,ni->", a, area) / 3 if solid else np.linalg.norm(area, axis=1).sum()
+        assert (len(data.triangles), found) == (triangles, pytest.approx(content))
 
 
 def test_a_single_displacement_is_a_table(tmp_path, model):
@@ -159,13 +165,17 @@ def test_damaged_files_are_refused(tmp_path, model, message):
     assert "m.frd" in str(refusal.value)
 
 
-def test_a_surface_node_without_displacement_is_named(tmp_path, model):
+def test_nodes_without_displacement(tmp_path, model):
+    """Of a surface they are named; of beams the nodes that have all displacements remain."""
     numbers, points, cells, shapes = model
-    text = frd(numbers, points, cells, shapes)
-    head, tail = text.split(" -4  DISP", 1)
-    line = rows([11], shapes[0][:1])[0] + "\n"
-    assert line in tail
-    head = head.rsplit("\n", 2)[0] + "\n" + head.rsplit("\n", 2)[1].replace("          36", "          35") + "\n"
-    (tmp_path / "m.frd").write_text(head + " -4  DISP" + tail.replace(line, "", 1))
-    with pytest.raises(FormatError, match=r"shape 1 \(10 Hz\) has no displacement at 1 nodes of the surface, first 11"):
-        read_shapes(tmp_path / "m.frd")
+    for kind, own in ((HEXAHEDRON, cells), (11, [[11, 14]])):
+        head, tail = frd(numbers, points, own, shapes, kind).rsplit("   36     ", 1)
+        line = rows([11], shapes[1][:1])[0] + "\n"
+        assert line in tail
+        (tmp_path / "m.frd").write_text(head + "   35     " + tail.replace(line, "", 1))
+        if kind == HEXAHEDRON:
+            with pytest.raises(FormatError, match=r"shape 2 \(20 Hz\) has no displacement at 1 nodes .*, first 11$"):
+                read_shapes(tmp_path / "m.frd")
+    for data, shape in zip(read_shapes(tmp_path / "m.frd"), shapes, strict=True):
+        np.testing.assert_array_equal(data.points, points[1:])
+        np.testing.assert_allclose(data.displacement, shape[1:], rtol=1e-5, atol=1e-12)
