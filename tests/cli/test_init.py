@@ -1,13 +1,9 @@
 """Case files to start from: they name every boundary, and they run."""
 
 import os
-import re
 from pathlib import Path
 
-import numpy as np
 import pytest
-
-from meshdeform_formats import read_grid
 
 GRIDS = Path(os.environ.get("MESHDEFORM_GRIDS", "../shared/grids")).resolve()
 REAL = [
@@ -50,19 +46,3 @@ def test_cases_for_real_grids_run(name, boundaries, tmp_path, monkeypatch, call)
         return
     assert result.code == 0, result.err
     assert "not selected" not in result.out
-
-
-def test_the_motions_proposed_keep_the_wall_on_the_symmetry_plane(tmp_path, monkeypatch, call):
-    """Each example of the template is tried; nothing is said about nodes that leave the plane."""
-    monkeypatch.chdir(tmp_path)
-    assert call("sample", "wing", "-o", ".", "--size", "8").code == 0
-    text = call("init", "grid.cgns").out
-    assert "# The wall ends at the symmetry plane y = 0" in text
-    examples = re.findall(r"^#   (\{ (?:rotate|displace).*)$", text, re.MULTILINE)
-    assert len(examples) == 2
-    for example in examples:
-        Path("case.toml").write_text(text.replace("{ translate = [0.0, 0.0, 0.0] }", example))
-        result = call("deform", "grid.cgns", "-c", "case.toml", "-o", "out.cgns", "-q", "--force")
-        assert (result.code, result.err) == (0, "")
-        wall = read_grid("out.cgns").block(0)[:, 0, 0]
-        assert np.abs(wall[:, 1]).max() < 1e-12

@@ -7,18 +7,21 @@ import tomllib
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
-from grids import CASE as TURN
+from grids import CASE
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.tables import Matching
-from meshdeform_core.errors import MeshDeformError
+from meshdeform_core.errors import CaseError, MeshDeformError
 from meshdeform_core.methods import IDW, TFI, Options
 from meshdeform_core.repair import RepairOptions
 from meshdeform_formats.case import case_of, read_case
 from meshdeform_formats.case.reader import case_schema
 
 SAMPLES = sorted((Path(__file__).parents[2] / "sample_cases").glob("*/case.toml"))
+# A constant may be called like a table.
+TURN = CASE.replace("[constants]", "[constants]\nrepair = 1")
 BODY = '[[boundary]]\nname = "body"\nwhere = "abs(x) < 0.51"\n'
 SHIFT = BODY + "motion = [{ translate = [0.1, 0, 0] }]\n"
 
@@ -93,6 +96,7 @@ WRONG_SETTINGS = [
     ("constants.turn.x=1", "--set 'constants.turn.x=1': 'turn' is a value, not a table"),
     ("boundary.wing.kind=fixed", "no entry 'wing'; known are body, span, outer"),
     ("constants.trun=40", "no formula uses the constant 'trun'; did you mean 'turn'?"),
+    ("constants={turn=1, much=2}", "no formula uses the constant 'much'; used are turn"),
     ("boundary.body=3", "; name an entry and its key"),
     ("turn=10", "--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?"),
     ("method.rbf.basis=wendland-c2", "has no effect: the method 'idw-tfi' uses only method.idw, method.tfi"),
@@ -118,7 +122,7 @@ def test_mistakes_of_the_command_line(setting, message, turn):
     ("setting", "place", "value"),
     [
         ("constants.turn=.5", ("constants", "turn"), 0.5), ("constants.turn = -1.", ("constants", "turn"), -1.0),
-        ("method.name=tfi", ("method",), {"name": "tfi"}),
+        ("method.name=tfi", ("method",), {"name": "tfi"}), ("repair={mode='off'}", ("repair",), {"mode": "off"}),
         ("method.idw.alpha=1.e3", ("method",), {"idw": {"alpha": 1e3}}),
         ("boundary.2.name=a=b", ("boundary", 1, "name"), "a=b"),
         ('boundary.body.select=["*.kmin"]', ("boundary", 0, "select"), ["*.kmin"]),
@@ -134,6 +138,25 @@ def test_settings_replace_one_value(setting, place, value, turn):
     # Without a file the tables that it passes through are made.
     if place == ("method",):
         assert read_case(None, [setting]).content == {"method": value}
+
+
+MADE = [
+    ({"constants": {"a": -(2**63) - 1}}, "constants.a is beyond integers of 64 bits, -2^63 to 2^63 - 1; write large"),
+    ({"constants": {"a": 2**63}}, "constants.a is beyond integers of 64 bits"),
+    ({"boundary": [{}, {"motion": ({"translate": np.array([0, np.nan, 0])},)}]},
+     "boundary.2.motion.1.translate.2 = nan; expected a finite number"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "message"), MADE)
+def test_numbers_of_cases_made_in_python_are_those_of_files(content, message):
+    assert case_of({"constants": {"a": -(2**63), "b": np.int64(2**63 - 1)}}).case.constants == {
+        "a": -(2.0**63),
+        "b": 2.0**63,
+    }
+    with pytest.raises(CaseError) as error:
+        case_of(content)
+    assert str(error.value).startswith(message)
 
 
 FULL = {

@@ -28,18 +28,11 @@ motion = [{ files = "surface_*.csv", times = "0:1:0.1" }]
 """
 
 
-@pytest.mark.parametrize(
-    ("text", "times"),
-    [
-        ("0:1:0.25", [0, 0.25, 0.5, 0.75, 1.0]),
-        ("0:1:0.3", [0, 0.3, 0.6, 0.9]),
-        ("2:2:1", [2.0]),
-        ("-1:1:1", [-1, 0, 1]),
-        ("0, 0.5, 2", [0, 0.5, 2]),
-        ("3", [3.0]),
-        *((f"0:{100 * step!r}:{step!r}", [step * n for n in range(101)]) for step in (0.1, 1e-3, 1 / 3, 0.07)),
-    ],
-)
+@pytest.mark.parametrize(("text", "times"), [
+    ("0:1:0.25", [0, 0.25, 0.5, 0.75, 1.0]), ("0:1:0.3", [0, 0.3, 0.6, 0.9]), ("2:2:1", [2.0]), ("-1:1:1", [-1, 0, 1]),
+    ("0, 0.5, 2", [0, 0.5, 2]), ("3", [3.0]),
+    *((f"0:{100 * step!r}:{step!r}", [step * n for n in range(101)]) for step in (0.1, 1e-3, 1 / 3, 0.07)),
+])  # fmt: skip
 def test_times(text, times):
     np.testing.assert_allclose(parse_times(text, "--times"), times, rtol=1e-15, atol=1e-15)
 
@@ -104,9 +97,19 @@ def test_times_between_the_files_and_files_of_other_nodes_are_refused(folder):
 
 def test_reports_compare_a_table_with_the_nodes_that_it_matches(folder):
     table = np.loadtxt(folder / "surface_1.csv", delimiter=",")
-    np.savetxt(folder / "half.csv", table[table[:, 2] < 0.6], "%.17g", delimiter=",")
+    half = table[table[:, 2] < 0.6] + [0, 0, 1e-3, 0, 0, 0]
+    np.savetxt(folder / "half.csv", half, "%.17g", delimiter=",")
+    case = read_case(folder / "case.toml", table=folder / "half.csv")
+    assert [path.name for path in case.files] == [*(f"surface_{n}.csv" for n in range(11)), "half.csv"]
+    case = read_case(None, table=folder / "surface_*.csv", times="0:1:0.1")
+    assert [path.name for path in case.files] == [f"surface_{n}.csv" for n in range(11)]
+    assert case.case.boundaries[0].motion.steps[0].data(3).label == "surface_3.csv"
     setup = set_up(frame(), read_case(None, table=folder / "half.csv").case)
-    assert boundary_part(setup)["matches"][0]["size_ratio"] == pytest.approx(1.0)
+    assert boundary_part(setup)["matches"] == [
+        {"table": "half.csv", "match": "interpolate", "matched_nodes": 40, "unmatched_nodes": 40, "table_points": 40,
+         "table_points_used": 40, "max_distance": pytest.approx(1e-3), "max_extrapolation": 0.0,
+         "size_ratio": pytest.approx(1.0), "walls": ["block2.imax", "block4.jmax", "block5.jmin", "block7.imin"]}
+    ]  # fmt: skip
 
 
 def test_every_node_that_moves_freely_or_not_is_counted_once():
@@ -116,19 +119,13 @@ def test_every_node_that_moves_freely_or_not_is_counted_once():
     assert sum(counts) == setup.topology.n_unique
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('"surface_*.csv"', '"nothing_*.csv"', "no file matches"),
-        ('"surface_*.csv"', '["surface_0.csv", "gone.csv"]', "does not exist"),
-        ('"surface_*.csv"', "3", "expected a pattern"),
-        ('"0:1:0.1"', '"0:1:0.5"', "11 files .* for 3 times"),
-        (', times = "0:1:0.1"', "", "times: there are none"),
-        ('"0:1:0.1"', "[0, true]", "times = .0, true."),
-        ('"0:1:0.1"', "[1, 0]", "do not ascend"),
-        ("times =", "when =", "unknown key 'when'"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('"surface_*.csv"', '"nothing_*.csv"', "no file matches"), ("times =", "when =", "unknown key 'when'"),
+    ('"surface_*.csv"', '["surface_0.csv", "gone.csv"]', "does not exist"),
+    ('"surface_*.csv"', "3", "expected a pattern"), ('"0:1:0.1"', '"0:1:0.5"', "11 files .* for 3 times"),
+    (', times = "0:1:0.1"', "", "times: there are none"), ('"0:1:0.1"', "[0, true]", "times = .0, true."),
+    ('"0:1:0.1"', "[1, 0]", "do not ascend"),
+])  # fmt: skip
 def test_wrong_sequences_are_refused(folder, old, new, words):
     (folder / "case.toml").write_text(CASE.replace(old, new))
     with pytest.raises(CaseError, match=words):
