@@ -9,9 +9,9 @@ import tomllib
 
 import numpy as np
 import pytest
-from grids import frame, frame_2d, with_walls
+from grids import frame, frame_2d, whole_face, with_walls
 
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import Grid, Patch, Side
 from meshdeform_core.grid.faces import find_outside
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
@@ -46,24 +46,43 @@ def thin(axis: int) -> Grid:
     return Grid.from_blocks([np.concatenate([x, x + np.eye(3)[axis]], axis=2) for x in blocks])
 
 
+def mirrored(layers: int) -> Grid:
+    """Between two symmetry planes."""
+    grid = frame(4, layers)
+    sides = {"low": Side.KMIN, "high": Side.KMAX}
+    patches = tuple(Patch(name, tuple(whole_face(shape, block, side) for block, shape in enumerate(grid.shapes)), "",
+                          "BCSymmetryPlane") for name, side in sides.items())  # fmt: skip
+    return dataclasses.replace(grid, patches=patches)
+
+
 ODD = {"body": 'the "wing" [1] \\ é', "outer": "a # b", "span": "s*?"}
 NAMED, GUESSED = {"body": "moving", "span": "slip", "outer": "fixed"}, {"wall": "moving", "far": "fixed", "end": "slip"}
+MIRRORS = {"low": "symmetry", "high": "symmetry", "wall": "moving", "far": "fixed"}
+WING = {"wing": "moving", "symmetry": "symmetry", "far": "fixed"}
+DECLARED = "wall symmetry far"
 TEMPLATES = {
-    "named": (lambda: with_walls(frame()), None, NAMED), "guessed": (frame, None, GUESSED),
-    "odd": (lambda: renamed(with_walls(frame()), **ODD), None, {ODD[name]: kind for name, kind in NAMED.items()}),
-    "no wall": (cube, None, {"unknown": "fixed"}), "plane": (plane, None, {"wall": "moving", "far": "fixed"}),
-    "wing": (lambda: generate("wing", 8)[0], None, {"wing": "moving", "symmetry": "symmetry", "far": "fixed"}),
+    "named": (lambda: with_walls(frame()), None, NAMED, DECLARED), "guessed": (frame, None, GUESSED, "wall? far? end?"),
+    "odd": (lambda: renamed(with_walls(frame()), **ODD), None, {ODD[name]: NAMED[name] for name in NAMED}, DECLARED),
+    "no wall": (cube, None, {"unknown": "fixed"}, "unknown"),
+    "plane": (plane, None, {"wall": "moving", "far": "fixed"}, "wall? far?"),
+    "wing": (lambda: generate("wing", 8)[0], None, WING, DECLARED),
+    "mirrored": (lambda: mirrored(2), None, MIRRORS, "wall? symmetry symmetry far?"),
+    "thin": (lambda: mirrored(1), None, MIRRORS | {"low": "slip", "high": "slip"}, "wall? symmetry symmetry far?"),
     "two of three": (lambda: with_walls(frame()), FittedTable("t.csv", ("body", "span"), "exact", 0.25),
-                     NAMED | {"span": "moving"}),
-    "one of four": (frame, FittedTable("t.csv", ("block2.imax",), "nearest", 1e-9), GUESSED | {"wall-fixed": "fixed"}),
+                     NAMED | {"span": "moving"}, DECLARED),
+    "one of four": (frame, FittedTable("t.csv", ("block2.imax",), "nearest", 1e-9), GUESSED | {"wall-fixed": "fixed"},
+                    "wall? wall? far? end?"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", TEMPLATES)
 def test_templates_name_every_outside_face_and_say_where_it_is(name):
-    make, table, kinds = TEMPLATES[name]
+    make, table, kinds, roles = TEMPLATES[name]
     grid = make()
-    topology, text = find_topology(grid), template(grid, None, table)
+    topology, text = find_topology(grid), template(grid, "a.nmf" if table else None, table)
+    assert tomllib.loads(text).get("grid") == ({"boundary_file": "a.nmf"} if table else None)
+    assert " ".join(re.findall("# role: (.*)", text)) == roles
+    assert ("# No wall was found." in text) == ("moving" not in kinds.values())
     entries = tomllib.loads(text)["boundary"]
     assert {entry["name"]: entry["kind"] for entry in entries} == kinds
     quads = {each: select_quads(grid, topology, [each], "") for entry in entries for each in entry["select"]}
@@ -84,17 +103,34 @@ def test_templates_name_every_outside_face_and_say_where_it_is(name):
     assert moving == [[motion]] * len(moving)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_the_motion_to_fill_in_turns_a_plane_grid_in_its_plane(axis):
-    text = template(thin(axis))
-    assert f"axis = {[int(n == axis) for n in range(3)]}, center" in text
-    (line,) = [line for line in text.splitlines() if "displace = " in line]
-    parts = json.loads(line.split("displace = ")[1].removesuffix(" }"))
-    assert parts[axis] == "0"
-    assert "xyz"[axis] not in "".join(parts).replace("sin", "")
+def shifted(grid: Grid, factor: float, by: float) -> Grid:
+    return grid.moved(grid.points * [1, factor, 1] + [0, by, 0])
 
 
-@pytest.mark.parametrize(("off", "match", "reach"), [(0.0, "nearest", 1.8e-9), (0.0123, "interpolate", 0.013)])
+PLANE = "# The wall ends at the symmetry plane {}; a motion along {} leaves it."
+EXAMPLES = [
+    (lambda: thin(0), "[1, 0, 0], center = [0.5, 0.0, 0.0]", ["0", "0.05*sin(pi*(z + 0.5)/1.0)", "0"], ""),
+    (lambda: thin(1), "[0, 1, 0], center = [0.0, 0.5, 0.0]", ["0.05*sin(pi*(z + 0.5)/1.0)", "0", "0"], ""),
+    (lambda: thin(2), "[0, 0, 1], center = [0.0, 0.0, 0.5]", ["0.05*sin(pi*(y + 0.5)/1.0)", "0", "0"], ""),
+    (lambda: mirrored(2), "[0, 0, 1], center = [0.0, 0.0, 0.5]", ["0.05*(z/1.0)**2", "0", "0"], "z = 0"),
+    (lambda: mirrored(1), "[0, 0, 1], center = [0.0, 0.0, 0.5]", ["0.05*sin(pi*(y + 0.5)/1.0)", "0", "0"], ""),
+    # The plane is at the lower end of a wing, or at the upper one.
+    (lambda: shifted(generate("wing", 8)[0], 1, 0), "[0, 1, 0], center = [0.85, 1.0, 0.0]",
+     ["0", "0", "0.1*(y/2.0)**2"], "y = 0"),
+    (lambda: shifted(generate("wing", 8)[0], -1, 0.5), "[0, 1, 0], center = [0.85, -0.5, 0.0]",
+     ["0", "0", "0.1*((y - 0.5)/2.0)**2"], "y = 0.5"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "turn", "parts", "plane"), EXAMPLES)
+def test_the_motion_to_fill_in_keeps_walls_in_their_plane(make, turn, parts, plane):
+    text = template(make())
+    assert f"rotate = {{ angle = 5.0, axis = {turn} }} }}" in text
+    assert f"displace = {json.dumps(parts)} }}" in text
+    assert re.findall("# The wall ends.*", text) == ([PLANE.format(plane, plane[0])] if plane else [])
+
+
+@pytest.mark.parametrize(("off", "match", "reach"), [(0.0, "nearest", 1.8e-9), (0.0125, "interpolate", 0.014)])
 def test_a_table_is_fitted_to_the_wall_that_it_covers(off, match, reach, tmp_path):
     grid = with_walls(frame())
     points = grid.points[np.abs(grid.points[:, :2]).max(axis=1) < 0.51] + [0, 0, off]
