@@ -65,7 +65,7 @@ TEMPLATES = {
     "odd": (lambda: renamed(with_walls(frame()), **ODD), None, {ODD[name]: NAMED[name] for name in NAMED}, DECLARED),
     "no wall": (cube, None, {"unknown": "fixed"}, "unknown"),
     "plane": (plane, None, {"wall": "moving", "far": "fixed"}, "wall? far?"),
-    "wing": (lambda: generate("wing", 8)[0], None, WING, DECLARED),
+    "wing": (lambda: wing(1, 0), None, WING, DECLARED),
     "mirrored": (lambda: mirrored(2), None, MIRRORS, "wall? symmetry symmetry far?"),
     "thin": (lambda: mirrored(1), None, MIRRORS | {"low": "slip", "high": "slip"}, "wall? symmetry symmetry far?"),
     "two of three": (lambda: with_walls(frame()), FittedTable("t.csv", ("body", "span"), "exact", 0.25),
@@ -103,11 +103,11 @@ def test_templates_name_every_outside_face_and_say_where_it_is(name):
     assert moving == [[motion]] * len(moving)
 
 
-def shifted(grid: Grid, factor: float, by: float) -> Grid:
+def wing(factor: float, by: float) -> Grid:
+    grid = generate("wing", 8)[0]
     return grid.moved(grid.points * [1, factor, 1] + [0, by, 0])
 
 
-PLANE = "# The wall ends at the symmetry plane {}; a motion along {} leaves it."
 EXAMPLES = [
     (lambda: thin(0), "[1, 0, 0], center = [0.5, 0.0, 0.0]", ["0", "0.05*sin(pi*(z + 0.5)/1.0)", "0"], ""),
     (lambda: thin(1), "[0, 1, 0], center = [0.0, 0.5, 0.0]", ["0.05*sin(pi*(z + 0.5)/1.0)", "0", "0"], ""),
@@ -115,10 +115,8 @@ EXAMPLES = [
     (lambda: mirrored(2), "[0, 0, 1], center = [0.0, 0.0, 0.5]", ["0.05*(z/1.0)**2", "0", "0"], "z = 0"),
     (lambda: mirrored(1), "[0, 0, 1], center = [0.0, 0.0, 0.5]", ["0.05*sin(pi*(y + 0.5)/1.0)", "0", "0"], ""),
     # The plane is at the lower end of a wing, or at the upper one.
-    (lambda: shifted(generate("wing", 8)[0], 1, 0), "[0, 1, 0], center = [0.85, 1.0, 0.0]",
-     ["0", "0", "0.1*(y/2.0)**2"], "y = 0"),
-    (lambda: shifted(generate("wing", 8)[0], -1, 0.5), "[0, 1, 0], center = [0.85, -0.5, 0.0]",
-     ["0", "0", "0.1*((y - 0.5)/2.0)**2"], "y = 0.5"),
+    (lambda: wing(1, 0), "[0, 1, 0], center = [0.85, 1.0, 0.0]", ["0", "0", "0.1*(y/2.0)**2"], "y = 0"),
+    (lambda: wing(-1, .5), "[0, 1, 0], center = [0.85, -0.5, 0.0]", ["0", "0", "0.1*((y - 0.5)/2.0)**2"], "y = 0.5"),
 ]  # fmt: skip
 
 
@@ -127,7 +125,8 @@ def test_the_motion_to_fill_in_keeps_walls_in_their_plane(make, turn, parts, pla
     text = template(make())
     assert f"rotate = {{ angle = 5.0, axis = {turn} }} }}" in text
     assert f"displace = {json.dumps(parts)} }}" in text
-    assert re.findall("# The wall ends.*", text) == ([PLANE.format(plane, plane[0])] if plane else [])
+    said = f"# The wall ends at the symmetry plane {plane}; a motion along {plane[:1]} leaves it."
+    assert re.findall("# The wall ends.*", text) == ([said] if plane else [])
 
 
 @pytest.mark.parametrize(("off", "match", "reach"), [(0.0, "nearest", 1.8e-9), (0.0125, "interpolate", 0.014)])

@@ -84,12 +84,8 @@ def test_refusals(tmp_path):
 
 
 ALL = [*(entry.suffixes[0] for entry in FORMATS.values()), ".su2", ".msh", ".inp"]
-KEPT = {
-    "iblank": (".xyz", ".cgns", ".vtk", ".vtu"),
-    "pressure": (".cgns", ".vtk", ".vtu"),
-    "some": (".cgns", ".vtk"),
-    "flux": (".cgns", ".vtk"),
-}
+KEPT = {"iblank": (".xyz", ".cgns", ".vtk", ".vtu"), "pressure": (".cgns", ".vtk", ".vtu"), "some": (".cgns", ".vtk"),
+        "flux": (".cgns", ".vtk")}  # fmt: skip
 
 
 def of_all_kinds() -> Grid:

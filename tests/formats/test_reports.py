@@ -117,16 +117,8 @@ def test_a_plan_as_text():
     assert "settings" not in as_text(PLAN, False)
 
 
-REPAIR = {
-    "invalid": 2,
-    "weak": 10,
-    "nodes": 1,
-    "max_movement": 0.5,
-    "newton_steps": 3,
-    "converged": True,
-    "before": None,
-    "left_out": None,
-}
+REPAIR = {"invalid": 2, "weak": 10, "nodes": 1, "max_movement": 0.5, "newton_steps": 3, "converged": True,
+          "before": None, "left_out": None}  # fmt: skip
 CELL = {"block": "b", "ijk": [1, 2, 3], "min_jacobian": -0.0123456, "step": 2, "nearest_patch": "wing",
         "center": [1.0, -2.5, 123456.7]}  # fmt: skip
 DONE = PLAN | {
