@@ -1,6 +1,7 @@
 """Transfinite interpolation of blocks against eqs. 1 and 3-9 as they are printed."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -201,6 +202,11 @@ def test_both_edges_between_two_vertices_are_moved():
     problem = problem_of(Grid.from_blocks([layer * half for layer in (1.0, 2.0) for half in halves]))
     moved = apply(Options("tfi"), problem, lambda x: 0.0 * x + [0.1, 0.2, 0.0])
     assert np.abs(moved - [0.1, 0.2, 0.0]).max() < 1e-14
+
+
+@pytest.mark.parametrize(("nodes", "cells"), [(50_000, 4), (50_001, 8), (200_000, 8), (200_001, 16)])
+def test_sub_blocks_of_small_grids_are_smaller(nodes, cells):
+    assert TFI().cells(SimpleNamespace(n_unique_nodes=nodes, source_numbers=np.arange(1000))) == cells
 
 
 def arc(cells, degrees):

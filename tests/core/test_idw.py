@@ -102,6 +102,18 @@ def test_a_boundary_that_stretches_and_shears_carries_its_grid_along(name, grid)
     assert np.abs(far).max() < 0.3
 
 
+def test_options_without_effect_and_numbers_too_large_are_told():
+    only = "it is only used with method.idw."
+    shepard = f'{only}weights = "shepard"'
+    assert IDW().idle == {"eta": f'{only}alpha = "auto"', "p_moving": shepard, "p_fixed": shepard,
+                          "divisions": f'{only}rotation = "division"'}  # fmt: skip
+    with pytest.raises(MethodError, match=r"'tfi' does not use the options IDW\(.*\); it takes no options\. Leave"):
+        Options("tfi", idw=IDW(a=2.0))
+    problem = problem_of(frame_2d(), SIDES)
+    with pytest.raises(MethodError, match=r"with alpha = 0\.1, L = 1e\+200, a = 2\.5, b = 5 is too large a number"):
+        apply(Options("idw", idw=IDW(length=1e200)), problem, told(problem))
+
+
 @pytest.mark.parametrize(
     ("size", "alpha", "reason"),
     [(1e-6, 1e-3, "{:.3g}"), (0.1, None, "{:.3g}"), (1.0, 0.3, "{:.3g}, capped at 0.3 (crossed cells)")],
