@@ -114,10 +114,20 @@ def test_indices_name_times_and_files(suffix, tmp_path):
     assert all(files.path(n).is_file() for n in range(3))
 
 
-@pytest.mark.parametrize("options", [{"encoding": "ascii"}, {"byte_order": "big", "precision": "float32"}], ids=str)
-def test_vtk_reads_a_plot3d_series_through_its_index(options, tmp_path):
-    grid = frame()
+STORED = [
+    (frame, {"encoding": "ascii"}, ["ascii", "little", 64, True, "C", False, False]),
+    (frame, {"byte_order": "big", "precision": "float32"}, ["binary", "big", 32, True, "fortran", False, False]),
+    (one_block, {"encoding": "binary", "multiblock": False, "iblank": True},
+     ["binary", "little", 64, False, "C", True, False]),
+    (frame_2d, {"encoding": "binary", "dimension": 2}, ["binary", "little", 64, True, "C", False, True]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "options", "stored"), STORED)
+def test_vtk_reads_a_plot3d_series_through_its_index(make, options, stored, tmp_path):
+    grid = make()
     files = written(grid, tmp_path, "wing.xyz", "none", options)
+    assert [*json.loads(files.view.read_text()).values()][1:-1] == stored
     reader = vtkPlot3DMetaReader()
     reader.SetFileName(str(files.view))
     reader.UpdateInformation()
