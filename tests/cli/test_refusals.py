@@ -106,20 +106,10 @@ CALLS = {
     "sample-into-file": (("sample", "splitter-plate", "-o", "old.xyz"), ("old.xyz is a file", "expected a folder")),
     "compare-other-blocks": (("compare", "grid.xyz", "flat.p2dfmt"), ("block1 of grid.xyz has 5 x 5 x 4", "6 x 6 x 1")),
     "reproduce-unknown": (("reproduce", "table9", "-o", "out"), ("table2", "table5", "figB", "all")),
-    "plot-zoom-outside": (
-        (*PLOT, "--plane", "k=1", "--zoom=5,6,5,6"), ("shows nothing of the grid, which extends from",),
-    ),
-    "plot-plane-unknown": (
-        (*PLOT, "--plane", "q=1"), ("expected a plane of nodes, like k=1 or k=mid, or one in space",),
-    ),
     "plot-no-reference": ((*PLOT, "--metric", "displacement"), ("give --reference",)),
-    "plot-range": ((*PLOT, "--range", "1,0"), ("with low < high",)),
     "plot-logarithm": (
         (*PLOT, "--reference", "grid.xyz", "--plane", "x=0.6", "--metric", "volume", "--log", "--range", "0,1"),
         ("does not begin above zero",),
-    ),
-    "plot-plane-and-select": (
-        ("plot", "grid.xyz", "-o", "out.png", "--plane", "k=1", "--select", "*"), ("exclude each other",),
     ),
     "plot-select-flat": (("plot", "flat.p2dfmt", "-o", "out.png", "--select", "*"), ("2-D grid", "--select")),
     "plot-metric": (("plot", "grid.xyz", "-o", "out.png", "--metric", "skew"), ("--metric", "f_skew")),

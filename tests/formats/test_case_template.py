@@ -58,14 +58,13 @@ def mirrored(layers: int) -> Grid:
 ODD = {"body": 'the "wing" [1] \\ é', "outer": "a # b", "span": "s*?"}
 NAMED, GUESSED = {"body": "moving", "span": "slip", "outer": "fixed"}, {"wall": "moving", "far": "fixed", "end": "slip"}
 MIRRORS = {"low": "symmetry", "high": "symmetry", "wall": "moving", "far": "fixed"}
-WING = {"wing": "moving", "symmetry": "symmetry", "far": "fixed"}
 DECLARED = "wall symmetry far"
 TEMPLATES = {
     "named": (lambda: with_walls(frame()), None, NAMED, DECLARED), "guessed": (frame, None, GUESSED, "wall? far? end?"),
     "odd": (lambda: renamed(with_walls(frame()), **ODD), None, {ODD[name]: NAMED[name] for name in NAMED}, DECLARED),
     "no wall": (cube, None, {"unknown": "fixed"}, "unknown"),
     "plane": (plane, None, {"wall": "moving", "far": "fixed"}, "wall? far?"),
-    "wing": (lambda: wing(1, 0), None, WING, DECLARED),
+    "wing": (lambda: wing(1, 0), None, {"wing": "moving", "symmetry": "symmetry", "far": "fixed"}, DECLARED),
     "mirrored": (lambda: mirrored(2), None, MIRRORS, "wall? symmetry symmetry far?"),
     "thin": (lambda: mirrored(1), None, MIRRORS | {"low": "slip", "high": "slip"}, "wall? symmetry symmetry far?"),
     "two of three": (lambda: with_walls(frame()), FittedTable("t.csv", ("body", "span"), "exact", 0.25),

@@ -17,8 +17,7 @@ from meshdeform_formats.grids import FORMATS, complete_for_export, read_grid, wr
 
 
 def moved(grid: Grid) -> CellFields:
-    x = grid.points
-    after = grid.moved(x + 0.03 * np.sin(3 * x[:, [1, 2, 0]]))
+    after = grid.moved(grid.points + 0.03 * np.sin(3 * grid.points[:, [1, 2, 0]]))
     return CellFields(after, find_topology(grid), grid)
 
 

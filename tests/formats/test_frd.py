@@ -99,8 +99,7 @@ def test_elements_of_every_type(tmp_path, kind, width):
 def test_a_single_displacement_is_a_table(tmp_path, model):
     numbers, points, cells, shapes = model
     (tmp_path / "static.frd").write_text(frd(numbers, points, cells, shapes[:1], analysis=0))
-    data = read_displacement(tmp_path / "static.frd")
-    assert data.label == "static.frd"
+    assert read_displacement(tmp_path / "static.frd").label == "static.frd"
     (tmp_path / "modes.frd").write_text(frd(numbers, points, cells, shapes))
     with pytest.raises(FormatError, match=r"expected CalculiX's \.frd"):
         read_shapes(tmp_path / "modes.csv")

@@ -48,6 +48,7 @@ BAD_TABLES = [
     ("beam", f"{BEAM[:-9]}\n0,0,0,0,0,0\n", "has the columns x y z dx dy dz; expected x y z, dx dy dz, either rx"),
     ("beam", f"{BEAM},cx,cy,cz\n0,0,0,0,0,0{ZEROS}\n", "rx ry rz cx cy cz; expected"),
     ("beam", f"t,{BEAM}\n0,0,0,0{ZEROS}\n0,0,0,1{ZEROS}\n1,0,0,0{ZEROS}\n", "1 station at t = 1 but 2 at 0"),
+    ("beam", f"t,{BEAM}\n0,0,0,0{ZEROS}\n1,0,0,0{ZEROS}\n1,0,0,1{ZEROS}\n", "2 stations at t = 1 but 1 at 0"),
     ("beam", f"t,{BEAM}\n" + "".join(f"{t},0,0,{s + t * s}{ZEROS}\n" for t in (0, 3) for s in (0, 1)),
      "FILE: station 2 is (0, 0, 4) at t = 3 and (0, 0, 1) at 0; expected its undeformed position"),
     ("positions", "x\n0 0 0 0 0\n", "FILE, line 2: found 5 columns; expected number x y z (or x y)"),
@@ -86,7 +87,9 @@ BAD_MOTIONS = [
     ({"rigid": RIGID}, "t,rx,ry,rz,qx,qy,qz,qw\n0,0,0,0,0,0,0,0\n", "has angles and quaternions; expected one"),
     ({"rigid": RIGID}, "t,rx,ry,rz\n0,0,0,0\n", ORDER.format("")),
     ({"rigid": RIGID}, "t,x,y\n0,0,0\n", "FILE has the columns x, y; expected all of x, y, z"),
-    ({"rigid": RIGID}, TURNED, "FILE: the quaternion at t = 2 has the length 1.0011; expected 1"),
+    ({"rigid": RIGID | {"order": "xyz"}}, TURNED, ORDER.format("xyz")),
+    *(({"rigid": RIGID}, TURNED.replace("1.0011", size), f"the quaternion at t = 2 has the length {size}; expected 1")
+      for size in ("1.0011", "0.9989")),
     *(({"modes": {"amplitudes": [1]} | keys}, "", f"modes: found {found}; expected files, with") for keys, found in (
         ({"file": "a.frd", "files": "m.csv"}, ["amplitudes", "file", "files"]), ({}, ["amplitudes"]),
         ({"files": ["m.csv"], "shapes": [1]}, ["amplitudes", "files", "shapes"]),

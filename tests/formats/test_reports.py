@@ -135,12 +135,13 @@ def test_a_deformation_as_text():
     assert "\n          ... 2 more in the json report\nsteps     3, 50.0% of the motion imposed\nworst     " in text
     assert "up to 210 degrees, first cells 211 to 212 times as high\n" in text
     assert "seconds   read 0.12  total 1.50\nmemory    3 MiB at most\n" in text
-    done = DONE | {"valid": True, "invalid_cells": [], "reached": 1.0, "repair": REPAIR}
+    done = DONE | {"valid": True, "invalid_cells": [], "reached": 1.0, "repair": REPAIR | {"converged": False}}
     assert as_text(done).startswith("verdict   valid\nsteps     3, then repaired (below)\nworst     smallest scaled")
 
 
 VERDICTS = [
-    ({}, ["Only 50.0% of the motion was imposed", "is b (1, 2, 3) near 'wing', around x, y, z = 1, -2.5, 1.235e+05"]),
+    ({"steps": 1}, ["Only 50.0% of the motion was imposed", "auto.</li><li>Try another",
+                    "is b (1, 2, 3) near 'wing', around x, y, z = 1, -2.5, 1.235e+05"]),
     ({"reached": 1.0}, ["206 of 1,000 cells became invalid.", "--repair auto", "-m idw-tfi keeps walls"]),
     ({"reached": 1.0, "steps": 1}, ["a valid grid requires: --steps auto"]),
     ({"valid": True}, ["No cell became invalid; 207 cells were invalid before."]),
@@ -177,6 +178,7 @@ def test_a_series_as_text_and_as_a_page():
     lines = [line.split() for line in as_text(SERIES).splitlines()]
     assert ["series", "3", "levels,", "each", "from", "the", "undeformed", "grid"] in lines
     assert ["f_skew", "before:", "mean", "0.9000,", "minimum", "0.4000"] in lines
+    assert ["accel.", "largest", "acceleration"] in [line[:3] for line in lines]
     same = ["0.1235", "1.23", "0.9100", "0.5000", "206"]
     for number, time, more in ((1, "0.123457", []), (2, "0.246913", ["0.667", "no"]), (3, "0.37037", ["yes"])):
         assert [str(number), time, "out", f"{number}.cgns", *same, *more, "1", "0.50"] in lines
@@ -214,6 +216,7 @@ SOUND = {"invalid_cells": 0, "min_scaled_jacobian": 0.75, "f_skew": {"min": 0.5}
 MOVED = "1 node moved by up to 0.5, 3 Newton steps"
 REPAIRED = [
     ({"repair": None}, []),
+    ({"repair": None, "new_interior": None, "valid": False}, []),
     ({"repair": None, "new_interior": None, "valid": True}, ["no cell is invalid or weak: nothing to repair"]),
     ({"repair": REPAIR | {"left_out": "too large"}}, ["not repaired: too large"]),
     (
