@@ -26,6 +26,8 @@ from meshdeform_core.velocity import face_fields, grid_velocity, swept_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.case.reader import read_case
 from meshdeform_formats.files import partial_path, remove_partial, replacing
+from meshdeform_formats.grids import variant_of
+from meshdeform_formats.inputs import bytes_at, least_bytes, velocity_bytes
 from meshdeform_formats.series.manifest import Manifest, ingredients_of
 from meshdeform_formats.series.outputs import LevelFiles
 
@@ -140,6 +142,32 @@ def test_vtk_reads_a_plot3d_series_through_its_index(make, options, stored, tmp_
             # The first index of VTK runs fastest.
             points = vtk_to_numpy(found.GetBlock(block).GetPoints().GetData()).reshape(*shape[::-1], 3).swapaxes(0, 2)
             np.testing.assert_allclose(points, at(grid, time).block(block), rtol=0, atol=1e-6)
+
+
+NODES, PLANE, BLOCK = 1152, 392, 100
+VARIANTS = {
+    "c.p3dbin": ({"encoding": "binary"}, 24 * NODES), "plane.p2dbin": ({}, 16 * PLANE), "grid.vts": ({}, 24 * BLOCK),
+    "single.cgns": ({"precision": "float32"}, 12 * NODES), "text.vts": ({"encoding": "ascii"}, 0), "mesh.vtu": ({}, 0),
+    "new.cgns": ({}, 24 * NODES), "blocks.vtm": ({}, 24 * NODES), "plane.vtk": ({}, 24 * 36), "text.p3dfmt": ({}, 0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_no_file_is_smaller_than_foretold(name, tmp_path):
+    grid = frame_2d() if name.startswith("plane") else frame()
+    if name.endswith((".vts", ".vtk")):
+        grid = type(grid).from_blocks([grid.block(0)])
+    path, (options, expected) = tmp_path / name, VARIANTS[name]
+    assert least_bytes(grid, path, variant_of(grid, path, options)) == expected
+    write_grid(grid, path, options)
+    assert expected <= bytes_at(path) == sum(file.stat().st_size for file in tmp_path.rglob("*.*"))
+    levels = LevelFiles(grid, tmp_path, f"w{path.suffix}", TIMES, options, "none")
+    assert [levels.least_bytes(first) for first in range(4)] == [3 * expected, 2 * expected, expected, 0]
+    assert velocity_bytes(grid, "swept", "float32") == grid.dimension * (4 * grid.n_nodes + 16 * grid.n_cells)
+    if name == "single.cgns":
+        # A copy, whose coordinates may be compressed.
+        half = variant_of(read_grid(path), path, {"precision": "float64"})
+        assert least_bytes(read_grid(path), path, half) == bytes_at(path) // 2
 
 
 @pytest.mark.parametrize("clean", [remove_partial, lambda folder: partial_path(folder / "wing.xyz")])
