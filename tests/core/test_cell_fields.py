@@ -3,7 +3,7 @@ compared node by node."""
 
 import numpy as np
 import pytest
-from cases import STILL
+from cases import STILL, everything_moves
 from grids import block_around, frame, frame_2d, prisms, turn_back, turn_block, waved, with_walls
 from random_grids import ORIENTATIONS
 
@@ -65,7 +65,8 @@ def test_extremes_are_those_of_the_report(grid):
 def test_an_undeformed_grid_has_no_worst_change():
     grid = frame()
     topology = find_topology(grid)
-    found = assess(Original(grid, topology), grid.points + 0.0, None)
+    boundary = classify(grid, topology, everything_moves(), {})
+    found = assess(Original(grid, topology), grid.points + 0.0, boundary)
     assert found.before.min_relative_jacobian == found.after.min_relative_jacobian == 1.0
     assert set(found.after.worst) == EXTREMES.keys() - {"volume_ratio_min", "volume_ratio_max"}
 
@@ -80,6 +81,9 @@ def test_an_orthogonal_wall_has_no_deviation_and_stretched_cells_a_height_ratio(
     angle, ratio = (values.reshape(3, 2, 2) for values in wall_cells(grid, topology, taller.points, low))
     np.testing.assert_allclose(angle[:, :, 0], 0.0, atol=1e-12)
     np.testing.assert_allclose(ratio[:, :, 0], 3.0)
+    boundary = classify(grid, topology, (BoundarySpec("low", ("*.kmin",), Kind.MOVING, None, STILL),), {})
+    walls = assess(Original(grid, topology), taller.points, boundary).after.walls["moving"]
+    assert walls.first_cell_height_ratio == Range(pytest.approx(3.0), pytest.approx(3.0))
     assert np.isnan(angle[:, :, 1]).all()
     assert np.isnan(ratio[:, :, 1]).all()
 

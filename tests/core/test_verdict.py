@@ -98,7 +98,7 @@ def test_a_cell_that_is_negative_between_positive_corners_is_invalid(axis):
     original = original_of(block(2))
     after = inside_negative(axis=axis)
     verdict = judge(original, after)
-    assert verdict.failed.tolist() == [Failure.INSIDE]
+    assert (verdict.failed.tolist(), verdict.weak(0.0).tolist()) == ([Failure.INSIDE], [0])
     assessment = assess(original, after, None)
     assert assessment.after.invalid_cells == 1
     assert assessment.invalid[0].test == "inside"
