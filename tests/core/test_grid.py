@@ -10,9 +10,9 @@ from grids import block_around
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import Connection, Field, FileFormat, Grid, Side, Window
 from meshdeform_core.grid.blocks import rounded
-from meshdeform_core.grid.connections import check_connections
+from meshdeform_core.grid.connections import check_connections, periodic_image
 from meshdeform_core.grid.parts import Periodicity
-from meshdeform_core.grid.planes import plane_normal
+from meshdeform_core.grid.planes import plane_axes, plane_normal
 from meshdeform_core.grid.selection import BY_PREFIX, with_components
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.grid.windows import end_planes
@@ -47,7 +47,11 @@ def test_places_have_names():
     assert grid.window_label(Window(1, Side.KMAX, (0, 0), (2, 1))) == "wing.kmax"
     assert grid.window_label(Window(1, Side.JMIN, (0, 1), (2, 2))) == "wing.jmin[1:3,2:3]"
     named = Grid.from_blocks([CUBE] * 4, ["1", "wing.01", "wing-2", "a 3b"])
-    assert with_components(named, BY_PREFIX).components == ("1", "wing", "wing", "a 3b")
+    found = with_components(named, BY_PREFIX)
+    assert (found.components, found.component_numbers.tolist()) == (("1", "wing", "wing", "a 3b"), [0, 1, 1, 2])
+    turned = periodic_image(np.array([[0.0, 1.0, 0.0]]), Periodicity(rotation_angle=(90.0, 0.0, 90.0)))
+    np.testing.assert_allclose(turned, [[0.0, 0.0, 1.0]], atol=1e-15)
+    np.testing.assert_allclose(np.cross(*plane_axes(np.array([0.6, 0.0, -0.8]))), [0.6, 0.0, -0.8])
     np.testing.assert_array_equal(grid.sample(9), grid.points[::5])
     assert [each.n_face_nodes for each in (ONE, grid, Grid.from_blocks([CUBE[:, :1]]))] == [26, 26 + 18, 9]
     np.testing.assert_array_equal(rounded(grid.points / 3, "float32"), (grid.points / 3).astype("f4").astype("f8"))

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from cases import constant, formulas
-from grids import block_around, cut_behind_a_body, frame, polar, whole_face
+from grids import block_around, cut_behind_a_body, discs, frame, polar, whole_face
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform, set_up
@@ -78,8 +78,9 @@ def test_a_gap_whose_side_is_a_wall_in_part_is_found():
 
 @pytest.mark.parametrize(
     ("grid", "half", "sides", "quads"),
-    [(polar(), np.s_[-1], ("imin", "imax"), 32), (cut_behind_a_body(), np.s_[5:, 0], ("jmin", "jmin"), 8)],
-)
+    [(polar(), np.s_[-1], ("imin", "imax"), 32), (cut_behind_a_body(), np.s_[5:, 0], ("jmin", "jmin"), 8),
+     (discs(), np.s_[:, :, -1], ("kmax", "kmax"), 16)],
+)  # fmt: skip
 def test_a_seam_of_one_block_may_be_open_too(grid, half, sides, quads):
     points = grid.points.copy()
     grid.block(0, points)[half][..., 1] += 1e-3

@@ -20,6 +20,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import IDW, RBF, Options
 from meshdeform_core.numerics.geometry import coincidence
 from meshdeform_core.parallel import current_sharing, for_chunks, set_sharing, sharing, thread_count
+from meshdeform_core.parallel.loops import usable_cores
 from meshdeform_core.quality.shape import shape_measures
 from meshdeform_core.series import Schedule, deform_series
 
@@ -52,6 +53,8 @@ def test_threads_of_a_program_do_not_change_each_others_setting():
             assert pool.submit(current_sharing).result().threads is None
         with sharing(apart=True):
             assert current_sharing().threads == 3
+        with sharing(threads=10**6):
+            assert thread_count() == usable_cores()
     finally:
         set_sharing(threads=None)
 

@@ -116,6 +116,7 @@ def plain_windows(grid: Grid, faces: FaceQuads, label: np.ndarray) -> list[tuple
 def test_windows_are_equal_runs_of_successive_rows(grid, seed):
     random, faces = np.random.default_rng(seed), find_topology(grid).quads
     label = random.choice([-1, 0, 1, 1, 1], len(faces.corners))
+    assert not quads_of_windows(faces, [Window(0, Side.JMIN, (0, 0), (0, 0))])[0].size
     found = rectangles(grid, faces, label)
     assert list(zip(found.label.tolist(), found.windows(), strict=True)) == plain_windows(grid, faces, label)
     for number, window in enumerate(found.windows()):
