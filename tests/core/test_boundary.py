@@ -332,6 +332,11 @@ def test_a_declared_rotation_turns_the_displacement():
             problem_of(dataclasses.replace(grid, connections=(known,)), specs_of(("p", select, Kind.PERIODIC, None)))
 
 
+def test_a_case_depends_on_time_if_one_of_its_motions_does():
+    still, turns = (tuple(body_specs(motion)) for motion in (MOVE, turning("t")))
+    assert [Case(specs).depends_on_time for specs in (still, turns, still + turns)] == [False, True, True]
+
+
 def test_motion_steps_act_in_order_on_undeformed_formulas():
     both = Motion((*formulas("y", "0", "0").steps, *turning(90).steps), {})
     problem = problem_of(FRAME, body_specs(both))

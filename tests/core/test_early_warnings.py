@@ -10,6 +10,7 @@ from cases import ALL_METHODS, NO_ROTATION, REPEATED, apply, body_specs, everyth
 from grids import frame, frame_2d, polar
 from scipy.spatial.transform import Rotation
 
+from meshdeform_core.boundary.motions.motion import doubtful_rotations, positions_as_displacements
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.methods import CATALOGUE, IDW, RBF, Options, limits, make_method
 from meshdeform_core.methods.base import Kinks
@@ -133,6 +134,26 @@ def test_places_without_a_derivative_are_counted_once_each():
     assert limits.tied(np.array([1.0, 2.0, 2.0]), np.array([0, 1, 1])) == 0
     assert limits.half_turns(np.pi * np.array([1.0, 1 - 1e-5, 1 + 1e-7, 1 - 1e-7]), np.array([0, 1, 2, 0])) == 2
     assert limits.reason_of(Kinks({"{} of {}": 1234, "{} more": 1})) == "1,234 of {}; 1 more"
+
+
+@pytest.mark.parametrize(
+    ("angle", "told"),
+    [
+        ("0", ""), ("0.2", ""), ("-360", ""), ("0.1*t", ""),
+        ("-400", "its nodes come to where a turn by -40 degrees takes them"),
+        ("0.1", "angles are in degrees, and 0.1 radians would be 5.73"),
+        ("-0.19", "angles are in degrees, and -0.19 radians would be -10.89"),
+    ],
+)  # fmt: skip
+def test_rotations_in_radians_or_by_more_than_a_turn_are_doubted(angle, told):
+    found = doubtful_rotations("bar", turning(angle))
+    assert found == [f"boundary 'bar' is rotated by {angle} degrees; {told}"] * bool(told)
+
+
+def test_displacements_that_are_positions_are_told_wherever_they_are():
+    x = frame().points + 1000.0
+    assert len(positions_as_displacements(x, x + 0.01)) == 1
+    assert positions_as_displacements(x, 0.0 * x + 1000.0) == positions_as_displacements(x[:3], x[:3]) == []
 
 
 def test_largest_rotation_is_relative():

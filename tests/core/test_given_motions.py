@@ -15,6 +15,7 @@ from meshdeform_core.boundary.tables import BoundaryNodes
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import FormatError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, Side
+from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of
@@ -344,15 +345,20 @@ def test_lednicer_and_selig_are_the_same(tmp_path):
 
 def test_what_cannot_be_matched_is_refused(tmp_path):
     sharp, blunt = naca(0.12, 0, 41), naca(0.12, 0, 41, 0.1015)
-    with pytest.raises(MotionError, match=r"has a blunt trailing edge, that of the wall at \(1, .*\) is sharp"):
-        moved(wall(sharp), write_selig(tmp_path / "a.dat", blunt), tmp_path)
-    with pytest.raises(MotionError, match="has a sharp trailing edge, that of the wall"):
-        moved(wall(blunt), write_selig(tmp_path / "a.dat", sharp), tmp_path)
-    with pytest.raises(MotionError, match="not a closed outline extruded along one axis; at"):
-        moved(box_nodes(), write_selig(tmp_path / "a.dat", sharp), tmp_path)
     circle = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 41)), np.sin(t)], axis=1)
-    with pytest.raises(MotionError, match="has 0 corners"):
-        moved(wall(circle), write_selig(tmp_path / "a.dat", sharp), tmp_path)
+    lens = circle * np.abs(0.3 * circle[:, 1:]) ** [0.0, 1.0]
+    two = Grid.from_blocks([wall(each).grid.block(0) for each in (sharp, sharp + [9.0, 0.0])])
+    where = two, find_topology(two)
+    several = BoundaryNodes.of_quads(*where, select_quads(*where, ["*.jmin"], ""))
+    for nodes, new, message in (
+        (wall(sharp), blunt, r"has a blunt trailing edge, that of the wall at \(1, .*\) is sharp"),
+        (wall(blunt), sharp, "has a sharp trailing edge, that of the wall"),
+        (box_nodes(), sharp, r"one axis; at \[-1.0, -0.33.*\] of its sections 3 edges meet, expected 2"),
+        (wall(circle), sharp, "has 0 corners"), (wall(lens), sharp, "has 2 corners"),
+        (several, sharp, "the boundary has several outlines; expected one airfoil"),
+    ):  # fmt: skip
+        with pytest.raises(MotionError, match=message):
+            moved(nodes, write_selig(tmp_path / "a.dat", new), tmp_path)
 
 
 def test_positions_by_number(tmp_path):
