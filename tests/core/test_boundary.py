@@ -332,11 +332,6 @@ def test_a_declared_rotation_turns_the_displacement():
             problem_of(dataclasses.replace(grid, connections=(known,)), specs_of(("p", select, Kind.PERIODIC, None)))
 
 
-def test_a_case_depends_on_time_if_one_of_its_motions_does():
-    still, turns = (tuple(body_specs(motion)) for motion in (MOVE, turning("t")))
-    assert [Case(specs).depends_on_time for specs in (still, turns, still + turns)] == [False, True, True]
-
-
 def test_motion_steps_act_in_order_on_undeformed_formulas():
     both = Motion((*formulas("y", "0", "0").steps, *turning(90).steps), {})
     problem = problem_of(FRAME, body_specs(both))
@@ -345,6 +340,8 @@ def test_motion_steps_act_in_order_on_undeformed_formulas():
     told = prescribed(problem)[nodes]
     expected = np.stack([-x[:, 1], x[:, 0] + x[:, 1], x[:, 2]], axis=1) - x
     np.testing.assert_allclose(told, expected, atol=1e-14)
+    still, turns = (tuple(body_specs(motion)) for motion in (MOVE, turning("t")))
+    assert [Case(specs).depends_on_time for specs in (still, turns, still + turns)] == [False, True, True]
 
 
 def test_the_plane_of_a_thin_strip_far_from_the_origin_is_exact():

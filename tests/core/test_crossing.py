@@ -81,10 +81,6 @@ def crossing_places(one, two):
     return crossing_faces(points, faces, np.zeros(2, np.int8), np.ones(2, bool))[1]
 
 
-def found_to_cross(one, two):
-    return len(crossing_places(one, two)) > 0
-
-
 @pytest.mark.parametrize("lattice", [0, 3])
 def test_pairs_are_those_of_exact_arithmetic(lattice):
     """Random quads, also on a coarse lattice where most tetrahedra are flat and corners coincide in space."""
@@ -113,16 +109,6 @@ def test_pairs_are_those_of_exact_arithmetic(lattice):
             corners = points[faces[face]]
             assert (place >= corners.min(axis=0) - 1e-9).all()
             assert (place <= corners.max(axis=0) + 1e-9).all()
-
-
-@pytest.mark.parametrize("decide", [cross_exactly, found_to_cross])
-def test_exact_decision_of_known_pairs(decide):
-    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
-    upright = square[:, [0, 2, 1]] * [0.5, 1, 1] + [0.25, 0.5, -0.5]
-    assert decide(square, upright)
-    assert not decide(square, upright + [0, 0, 0.5]), "touching is not crossing"
-    assert decide(square, upright + [0, 0, np.nextafter(0.5, 0)])
-    assert not decide(square, square + [0.5, 0, 0]), "overlapping in one plane is not crossing"
 
 
 @pytest.mark.parametrize("shift", [-0.99, -0.99999, -1.0, -1.01, -5.0])

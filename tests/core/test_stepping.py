@@ -25,7 +25,7 @@ def impose(monkeypatch):
     ``FRACTION EFFORT``, by another method ``METHOD FRACTION``. Its first argument has the numbers of invalid cells
     after these, 5 if not told, one by one if tried again; with smallest relative and scaled Jacobian; or an error."""
 
-    def imposed(told, strategy=stepping.until_valid, contact=None, pinned=None, limit=(), **others):
+    def imposed(told, strategy=stepping.until_valid, contact=None, pinned=None, limit=(), chosen="idw-tfi", **others):
         told, tried = dict(told), []
 
         def judged(key, repair=None):
@@ -46,7 +46,8 @@ def impose(monkeypatch):
 
         def repaired(state, effort, polish=False):
             key = f"{name_of(state)}{state.fraction:g} {effort}{' polish' * polish}"
-            found = judged(key, Repair(state.found.count, 1, 1, 0.1, 1, 1.0, key in others.get("converged", ())))
+            done = key in others.get("converged", ()), others.get("left_out", {}).get(key)
+            found = judged(key, Repair(state.found.count, 1, 1, 0.1, 1, 1.0, done[0], left_out=done[1]))
             return stepping._noted(dataclasses.replace(state, found=found), repair=True)
 
         pretended = {"plain_step": plain_step, "_repaired": repaired, "find_pinned": lambda *_: pinned}
@@ -60,7 +61,7 @@ def impose(monkeypatch):
             **{"path": None, "total": None, "rounded": None, "repairing": True, "polishing": False} | others,
             attempts=[], warnings=[],
         )  # fmt: skip
-        return strategy(stepping.beginning(course, Options("idw-tfi"))), tried
+        return strategy(stepping.beginning(course, Options(chosen))), tried
 
     return imposed
 
@@ -109,10 +110,13 @@ def failed(attempts, part="nor for any part of it that was tried"):
         ({"1 hasty": 0}, CROSSING, "1, 1 hasty", "1/1: 0", []),
         ({"0.45 hasty": 0}, CROSSING, "1, 1 hasty, 0.45, 0.45 hasty", "1/1: 5",
          ["walls meet", "corners pinned", failed(4, "only for 45.0% of it")]),
-        ({}, {"pinned": "here"}, "1, 1 hasty, 0.9, 0.9 hasty", "1/1: 5", ["here", failed(4)]),
+        ({"0.9": 0}, {"pinned": "here"}, "1, 1 hasty, 0.9, 0.9 hasty", "1/1: 5",
+         ["here", failed(4, "only for 90.0% of it")]),
         # A valid grid that is nearly collapsed.
         (FLAT, {"converged": ["1 quick"]}, "1, 1 quick", "1/1: 0", []),
         (FLAT, {}, f"{FIRST}, {OTHERS}", "1/1: 0", []),
+        ({f"tfi {step}": cells for step, cells in FLAT.items()}, {"chosen": "tfi"},
+         f"{OTHERS[:18]}, {FIRST[12:]}, {OTHERS[20:]}", "tfi 1/1: 0", []),
         ({**FLAT, **EIGHT, "rbf-tfi 1 quick": (0, 0.02, 0.3)}, {}, f"1, 1 quick, {', '.join(EIGHT)}, rbf-tfi 1 quick",
          "rbf-tfi 1/8: 0", []),
         ({**FLAT, **EIGHT, "rbf-tfi 1 quick": (0, 0.02, 0.05), "tfi 1 quick": (0, 0.03, 0.0)}, {},
@@ -125,6 +129,7 @@ def failed(attempts, part="nor for any part of it that was tried"):
          ["the motion was given up after as much work as is done for 1,000 nodes (docs/validity.md)", failed(2)]),
         # Equal steps, in which a repair that fails is made again with patience; steps that are halved, and stay so.
         ({"0.5 quick": 0}, TWO, "0.5, 0.5 quick, 1, 1 quick, 1 patient", "1/2: 5", []),
+        ({}, {**TWO, "left_out": {"0.5 quick": "why"}}, "0.5, 0.5 quick, 1, 1 quick, 1 patient", "1/2: 5", []),
         ({"0.5": 0}, {**TWO, "repairing": False}, "0.5, 1", "1/2: 5", []),
         ({"0.25": 0, "0.375": 0}, {"strategy": stepping.adaptively, "repairing": False},
          "1, 0.5, 0.25, 0.5, 0.375, 0.5, 0.4375, 0.40625, 0.390625, 0.382812, 0.378906", "0.375/2: 0",
