@@ -140,12 +140,6 @@ def test_body_through_the_far_field(make, shift, crosses):
         assert make is frame or found.crossings[0].point[2] == 0.0
 
 
-def test_turning_and_shifting_everything_is_no_crossing():
-    everything = moving("all", "*", turning(150.0))
-    assert contact(frame(), everything) is None
-    assert contact(frame_2d(), moving("all", "*", constant(1e3, 5, 0))) is None
-
-
 def test_a_wall_that_folds_onto_itself():
     """A floor that is bent into a loop: the same patch crosses itself."""
     fold = formulas("where(x > 1, -1.6*(x - 1), 0)", "0", "where(x > 1, 0.8*sin(pi*(x - 1)), 0) - 0.7*(x > 1.7)")

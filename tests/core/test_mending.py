@@ -111,12 +111,6 @@ def test_without_boundary_entries_all_outside_nodes_stay():
     np.testing.assert_array_equal(mended.grid.points[nodes], points[nodes])
 
 
-def test_ends_of_a_grid_one_cell_thick_slide():
-    grid, bad, _ = spoilt(1)
-    mended = mend(bad.grid.moved(bad.grid.points), grid, Case((), repair=RepairOptions()))
-    assert mended.assessment.valid
-
-
 def test_what_the_boundary_makes_impossible_is_said():
     """Without a case the end planes stay, whose cells the motion has turned over."""
     thick, bad, case = spoilt(2, size=4)

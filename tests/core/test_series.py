@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from cases import body_specs, formulas, turning
+from cases import body_specs, turning
 from grids import frame, frame_2d, permuted, polar
 
 from meshdeform_core import velocity
@@ -47,15 +47,20 @@ def test_from_the_reference_a_period_leads_back_to_the_start(options):
     assert all(level.velocity is None and level.smoothness.plain for level in levels)
 
 
-@pytest.mark.parametrize(("order", "exponent"), [("first", 1.0), ("second", 2.0)])
-def test_velocities_converge_with_their_order(order, exponent):
-    setup = setup_of(formulas("0.2*sin(t)", "0.1*t**3", "0"))
-    wall = setup.topology.first[setup.boundary.kind == 6]
-    errors = []
-    for h in (0.02, 0.01):
-        level = levels_of(setup, Schedule((1 - 2.5 * h, 1 - h, 1.0), velocity=order))[-1]
-        errors.append(np.abs(level.velocity[wall] - [0.2 * np.cos(1.0), 0.3, 0.0]).max())
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(exponent, abs=0.1)
+@pytest.mark.parametrize("order", velocity.VELOCITIES)
+def test_a_series_goes_on_from_the_levels_before(order):
+    times, setup, before = (0.0, 0.02, 0.05, 0.09), setup_of(), [True, False, True]
+    levels = levels_of(setup, Schedule(times, velocity=order))
+    points = [level.result.grid.points for level in levels]
+    if order != "none":
+        np.testing.assert_array_equal(levels[3].velocity, grid_velocity(times, points[1:], order))
+    for first in (1, 2, 3):
+        more = {"first": first, "finished": points.__getitem__, "plain": before[:first]}
+        level, expected = levels_of(setup, Schedule(times[: first + 1], velocity=order), **more)[0], levels[first]
+        np.testing.assert_array_equal(level.velocity, expected.velocity)
+        assert all((a.values == b.values).all() for a, b in zip(level.faces, expected.faces, strict=True))
+        # The second level has one before it only.
+        assert level.smoothness == dataclasses.replace(expected.smoothness, plain=first == 1)
 
 
 def test_second_order_begins_with_zero_and_first_order():
@@ -65,7 +70,7 @@ def test_second_order_begins_with_zero_and_first_order():
     np.testing.assert_allclose(grid_velocity(times[:2], x[:2], "second"), [[0.5, 2, 0]])
     # Exact for parabolas, whatever the spacing.
     np.testing.assert_allclose(grid_velocity(times, x, "second"), [[4, 2, 0]])
-    np.testing.assert_allclose(grid_velocity(times, x[1:], "first"), [[2.5, 2, 0]])
+    np.testing.assert_allclose(grid_velocity(times, x, "first"), [[2.5, 2, 0]])
 
 
 def test_an_invalid_level_does_not_stop_the_series():
@@ -74,9 +79,16 @@ def test_an_invalid_level_does_not_stop_the_series():
     assert not levels[-1].smoothness.plain
 
 
-@pytest.mark.parametrize("wrong", [{"times": ()}, {"times": (0.0, 0.0)}, {"times": (1.0, 0.5)}, {"velocity": "third"}])
-def test_schedules_that_make_no_sense_are_refused(wrong):
-    with pytest.raises(CaseError, match="series"):
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"times": ()}, r"found \[\]$"), ({"times": (0.0, 0.0)}, r"found \[0, 0\]$"),
+        ({"times": (2.0, 1.0, 3.0, 4.0, 5.0, 6.0)}, r"must ascend; found \[2, 1, 3, 4, 5, ...\]$"),
+        ({"velocity": "third"}, "velocity = 'third' of a series is unknown; known are none, first, second, swept"),
+    ],
+)  # fmt: skip
+def test_schedules_that_make_no_sense_are_refused(wrong, message):
+    with pytest.raises(CaseError, match=message):
         dataclasses.replace(Schedule((0.0, 1.0)), **wrong)
 
 
@@ -103,8 +115,7 @@ def test_repaired_levels_depend_on_the_boundary_only():
     smooth = [level.smoothness for level in levels[2:]]
     assert max(s.acceleration for s in smooth) < 0.25
     assert max(s.beyond for s in smooth) < 0.17
-    assert levels[0].smoothness.velocity is None
-    assert levels[1].smoothness.acceleration is None
+    assert levels[0].smoothness.velocity is levels[1].smoothness.acceleration is None
     assert not any(s.plain for s in smooth)
 
 
@@ -120,7 +131,11 @@ def test_a_jump_of_the_grid_alone_is_told():
     assert smoothness(mixed, np.array([0]), np.full(3, 0.5)).warning == found.warning
     plain = [moment._replace(plain=True) for moment in moments]
     assert smoothness(plain, np.array([0]), np.full(3, 0.5)).warning is None
-    assert smoothness(moments, np.array([2]), np.full(3, 0.5)).warning is None
+    for walls, edge in (([2], 0.5), ([0], 5.0)):
+        assert smoothness(moments, np.array(walls), np.full(3, edge)).warning is None
+    # Walls that hardly move in the last interval say nothing of how far the nodes move with them.
+    last = [moments[0], moments[2]._replace(time=1.0), moments[2]._replace(points=points[2] + 1e-4)]
+    assert smoothness(last, np.array([0]), np.full(3, 0.5)).reach == pytest.approx(4.5)
     # At the same velocity, intervals of different lengths make no acceleration.
     even = [moment._replace(time=time, points=still + time) for moment, time in zip(moments, (0, 1, 4), strict=True)]
     assert smoothness(even, np.array([0]), np.full(3, 0.5)).acceleration == 0.0
