@@ -186,8 +186,8 @@ def test_components_move_together(overset):
     assert weights @ mesh.warpDerivFwd(change) == pytest.approx((gradient * change).sum(), rel=1e-11)
 
 
-def test_walls_are_chosen_by_family_or_name_and_stand_in_the_order_of_the_file(overset):
-    mesh = MultiUSMesh(overset, {"flap": {"specifiedSurfaces": ["W2"]}, "WING": {"specifiedSurfaces": ["Wall"]}})
+def test_walls_are_chosen_by_type_or_name_and_stand_in_the_order_of_the_file(overset):
+    mesh = MultiUSMesh(overset, {"flap": {"specifiedSurfaces": ["W2"]}, "WING": {}})
     grid, start, before = md.read(overset), mesh.getSurfaceCoordinates(), mesh.getWarpGrid()[0]
     assert {"w0", "w1", "w2", "wall", "sym"} < set(grid.patches)
     for points, walls in ((start[:36], grid.blocks[:2]), (start[36:], grid.blocks[2:3])):

@@ -87,14 +87,10 @@ def bench(_template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> I
     return folder
 
 
-def contents(folder: Path) -> dict[str, bytes | None]:
+@pytest.fixture
+def snapshot() -> Callable[[Path], dict[str, bytes | None]]:
     """Every path below a folder with its bytes: what must not change when a command refuses."""
-    return {
+    return lambda folder: {
         str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
         for path in sorted(folder.rglob("*"))
     }
-
-
-@pytest.fixture
-def snapshot() -> Callable[[Path], dict[str, bytes | None]]:
-    return contents

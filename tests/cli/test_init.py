@@ -23,7 +23,6 @@ def test_a_case_for_a_grid_with_patches(bench, call):
     assert (plan.code, plan.err.count("\n")) == (0, 1)
     assert "warning: nothing moves: the displacement is zero everywhere; check --time" in plan.err
     assert "not selected" not in plan.out
-    # Files are named from the folder of the case.
     call("convert", "grid.cgns", "new.xyz")
     Path("cases").mkdir()
     files = ("--boundary-file", "new.nmf", "--table", "table.csv", "-o", "cases/new.toml")
@@ -39,7 +38,7 @@ def test_cases_for_real_grids_run(name, boundaries, tmp_path, monkeypatch, call)
     monkeypatch.chdir(tmp_path)
     more = ("--boundary-file", GRIDS / boundaries) if boundaries else ()
     assert call("init", GRIDS / name, *more, "-o", "case.toml").code == 0
-    assert not boundaries or str(GRIDS / boundaries) in Path("case.toml").read_text()
+    assert not boundaries or f'"{GRIDS / boundaries}"' in Path("case.toml").read_text()
     result = call("deform", GRIDS / name, "-c", "case.toml", "--dry-run")
     if "# No wall was found." in Path("case.toml").read_text():
         assert "no node moves" in result.err

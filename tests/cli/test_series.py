@@ -239,6 +239,8 @@ def test_a_finished_series_is_left_alone(done, call, snapshot):
     for more in ((), ("--resume",)):
         told = "meshdeform: error: out/grid_0000.xyz exists; use --force to overwrite it\n"
         assert (call(*RUN, *more).code, call(*RUN, *more).error) == (2, told)
+    Path("out/series.json").write_text("damaged")
+    assert call(*RUN, "--force", "-q").code == 0
 
 
 @pytest.mark.parametrize("deleted", [True, False])

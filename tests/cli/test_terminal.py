@@ -41,6 +41,8 @@ def test_boundaries_are_kept_beside_what_has_no_place_for_them(bench, call):
     (bench / "new.nmf").write_bytes((bench / "new.nmf").read_bytes() + b"# mine\n")
     for command, *more in (("quality",), ("repair", "-o", "new.vtm")):
         assert call(command, "new.xyz", "--reference", "grid.xyz", "-c", "named.toml", *more).code == 0
+    other = ("-s", 'grid.boundary_file="again.nmf"', "--boundary-file", "new.nmf")
+    assert call("quality", "new.xyz", "-c", "named.toml", *other).code == 0
     lost = "patches of the grid; add the outside faces with their families by --variant boundary=true"
     for variant in ("false", "true"):
         told = call("deform", *case, "-o", "a.vtu", "--force", "--json", "--variant", f"boundary={variant}").out
@@ -73,7 +75,7 @@ class Clock:
     each time does one of the steps; without any more it ends."""
 
     def __init__(self, *steps: Callable[[], object]):
-        self.now, self.waited, self._steps = 0.0, [], list(steps)
+        self.now, self.waited, self.steps = 0.0, [], list(steps)
 
     def perf_counter(self) -> float:
         return self.now
@@ -81,9 +83,9 @@ class Clock:
     def wait(self, seconds: float) -> bool:
         self.waited.append(seconds)
         self.now += seconds
-        if not self._steps:
+        if not self.steps:
             return True
-        self._steps.pop(0)()
+        self.steps.pop(0)()
         return False
 
 
@@ -131,10 +133,12 @@ def test_long_work_tells_a_log_how_far_it_is(monkeypatch, capsys):
     monkeypatch.setattr(process, "time", clock)
     bar = process.ProgressBar(compiles=False)
     bar._over = clock
-    bar("levels", 0, 2)
+    bar("levels", 3, 2)
     bar("idw", 9, 8)
+    clock.steps[-1] = partial(bar, "write", 0, 0)
     bar._log()
     assert clock.waited == pytest.approx([10.0, 10.0, 10.0, 15.0, 22.5, 33.75, 50.625, 60.0, 60.0])
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 8
-    assert lines[:2] == [f"meshdeform: {n} s, levels 0 of 2, idw 8 of 8" for n in (10, 20)]
+    assert lines[:2] == [f"meshdeform: {n} s, levels 2 of 2, idw 8 of 8" for n in (10, 20)]
+    assert lines[-1] == "meshdeform: 212 s, levels 2 of 2, write"
