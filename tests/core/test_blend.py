@@ -213,11 +213,7 @@ def arc(cells, degrees):
     """A block whose lines along i turn by an angle in all, evenly."""
     angle, radius, z = np.deg2rad(np.linspace(0.0, degrees, cells + 1)), np.linspace(1.0, 2.0, 5), np.arange(3.0)
     a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
-    return problem_of(Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)]), fixed())
-
-
-def fixed():
-    return [BoundarySpec("all", ("*",), Kind.FIXED)]
+    return problem_of(Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)]))
 
 
 @pytest.mark.parametrize(("degrees", "parts"), [(0.01, 2), (98.0, 2), (112.0, 4), (180.0, 4)])

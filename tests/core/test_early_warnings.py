@@ -170,6 +170,7 @@ def test_every_parameter_has_a_reason(name):
     counts = {"sub_blocks", "centres", "polynomial"}
     settings = prepared.account.settings
     assert [key for key, setting in settings.items() if not setting.reason and key not in counts] == []
+    assert ("sub_blocks" in settings) == name.endswith("tfi")
     if "alpha" in settings:
         assert settings["alpha"].reason == "given"
         assert settings["b"].reason.startswith("default: ")

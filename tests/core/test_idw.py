@@ -102,6 +102,16 @@ def test_a_boundary_that_stretches_and_shears_carries_its_grid_along(name, grid)
     assert np.abs(far).max() < 0.3
 
 
+def test_a_symmetry_line_is_the_middle_of_a_mirrored_plane_grid():
+    """Round-off puts half of its nodes beside it."""
+    whole = polar(24, 6, 0)
+    half = Grid.from_blocks([whole.block(0)[:13]])
+    wall = BoundarySpec("wall", ("*.jmin",), Kind.MOVING, None, formulas("0.2*x*x", "0.3*x*y", "0"))
+    problems = problem_of(whole, [wall]), problem_of(half, [wall, BoundarySpec("middle", ("*.i*",), Kind.SYMMETRY)])
+    one, two = (apply(Options("idw", idw=IDW(length=3.0)), problem, told(problem)) for problem in problems)
+    np.testing.assert_allclose(whole.block(0, one)[:13], half.block(0, two), atol=1e-12)
+
+
 def test_options_without_effect_and_numbers_too_large_are_told():
     only = "it is only used with method.idw."
     shepard = f'{only}weights = "shepard"'
