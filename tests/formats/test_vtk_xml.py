@@ -190,7 +190,7 @@ def test_bad_files(tmp_path, capfd, name):
 
 
 LONG = f"{-(2**63)} {2**63 - 1} 0 -1 +5 7", f"{2**64 - 1} {2**63} 0 1 2 3"
-ENDS = {"Int64": LONG[0], "UInt64": LONG[1], "Float32": "INF -inf Infinity 1e38 -0.5 7"}
+ENDS = {"Int64": LONG[0], "UInt64": LONG[1], "Float32": "INF -Inf Infinity 1e38 -0.5 7"}
 
 
 @pytest.mark.parametrize(("kind", "words"), ENDS.items())
