@@ -140,7 +140,7 @@ def test_a_deformation_as_text():
 
 
 VERDICTS = [
-    ({"steps": 1}, ["Only 50.0% of the motion was imposed", "auto.</li><li>Try another",
+    ({"steps": 1}, ["Only 50.0% of the motion was imposed", "--repair auto.</li><li>Try another",
                     "is b (1, 2, 3) near 'wing', around x, y, z = 1, -2.5, 1.235e+05"]),
     ({"reached": 1.0}, ["206 of 1,000 cells became invalid.", "--repair auto", "-m idw-tfi keeps walls"]),
     ({"reached": 1.0, "steps": 1}, ["a valid grid requires: --steps auto"]),
