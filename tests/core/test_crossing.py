@@ -257,7 +257,7 @@ def test_a_layer_turned_inside_out_is_told_with_its_place():
     assert "16 cells" in (pinned(slab(), formulas("0", "0", "where(z > 0.05, -0.1, 0)")) or ""), "exactly flat"
     # Between the nodes at 0.5 and 0.75 only two of the corners have changed their sign.
     assert "8 cells, whose nodes are all prescribed, are inverted" in found
-    assert "first in block1 at (3, 1, 1)" in found
+    assert "first in block1 at (3, 1, 1), around (0.625, 0.125, 0)" in found
 
 
 def test_corner_of_a_plane_grid():

@@ -306,9 +306,10 @@ def test_invalid_cells_are_listed_the_worst_first(kind):
     specs = [BoundarySpec(side, (f"block1.{side}",), kind, None, still) for side in ("imin", "imax")]
     boundary = classify(original.grid, original.topology, specs, {})
     found = assess(original, after.reshape(-1, 3), boundary, step_of=lambda cell: 7 * cell)
-    failed, (skew, _, jacobian, _) = judge(original, after.reshape(-1, 3)).failed, plain(after, 1.0)
+    failed, (skew, _, jacobian, volume) = judge(original, after.reshape(-1, 3)).failed, plain(after, 1.0)
     worst = np.argsort(np.where(failed != 0, jacobian.min(axis=1), np.inf))[:200]
     assert found.after.invalid_cells == np.count_nonzero(failed) > 200 == len(found.invalid)
+    assert found.after.negative_volumes == np.count_nonzero(volume < 0.0)
     own = (each for each in boundary.patches if each.kind is kind)
     nodes = {each.name: original.grid.points[original.topology.first[each.nodes]] for each in own}
     places = np.stack(np.unravel_index(worst, (8, 7, 6)), axis=1)
