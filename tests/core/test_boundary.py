@@ -80,6 +80,7 @@ def test_a_window_of_a_plane_grid_has_one_range():
         found, expected = (select_quads(grid, find_topology(grid), each, "") for each in (one, both))
         assert len(found) == 2
         np.testing.assert_array_equal(found, expected)
+        assert (select_quads(grid, find_topology(grid), ["block1.*"], "") < find_topology(grid).quads.start[1, 0]).all()
 
 
 def test_strongest_kind_wins():
