@@ -26,16 +26,6 @@ def _small_pictures() -> None:
     STYLE["figure.dpi"] = 60
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _code_stays() -> None:
-    """The code of the compiler stays in memory. Finding it among the thousands of mapped files of this process, three
-    times per grid, and reading it again takes a twenty-fifth of the time; `tests/core/test_memory_limit.py` does it in
-    a process of its own."""
-    from meshdeform_core import memory
-
-    memory._read_only_parts = lambda library: []
-
-
 def pytest_collection_finish() -> None:
     """The collector leaves alone what is imported, which stays: looking through it takes a twentieth of the time. It
     looks at the rest seldom, for another fiftieth."""
