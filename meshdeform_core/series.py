@@ -16,7 +16,7 @@ from .grid import Field, FloatArray
 from .methods import PreparedMethod, Progress
 from .velocity import PAST, VELOCITIES, Moment, Smoothness, face_fields, grid_velocity, shortest_edges, smoothness
 
-REVISION = 22
+REVISION = 23
 """Revision of the algorithms: a series is continued only by a program of the same revision.
 
 Increase it with every change that gives a level of any series different coordinates or a different verdict.
