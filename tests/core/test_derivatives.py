@@ -11,7 +11,7 @@ from grids import frame, frame_2d
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.limits import CHOSEN, EDGES, FOLDED, HALF_TURNS, LARGEST
-from meshdeform_core.methods.scattered import linear_idw
+from meshdeform_core.methods.scattered import idw_sums, linear_idw, prepared_rbf
 from meshdeform_core.methods.scattered.summation import DERIVATIVE_TOLERANCE
 from meshdeform_core.numerics.rigid import Frame
 from meshdeform_core.numerics.tape import Tape
@@ -25,6 +25,13 @@ METHODS = ALL_METHODS | {
     "idw-two-exponents": Options("idw", idw=IDW(weights="shepard", p_moving=4.0)),
     "idw-no-transition": Options("idw", idw=IDW(transition=0, remove_mean=False)),
 }
+
+
+@pytest.fixture(autouse=True)
+def _several_portions(monkeypatch):
+    for module in (idw_sums, prepared_rbf):
+        monkeypatch.setattr(module, "_CHUNK", 32)
+        monkeypatch.setattr(module, "_ROWS", 128)
 
 
 def bulged():
