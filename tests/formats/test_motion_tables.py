@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from meshdeform_core.boundary.motions.motion import Step
+from meshdeform_core.boundary.motions.expression import Expression
+from meshdeform_core.boundary.motions.motion import History, Step
+from meshdeform_core.boundary.tables import Matching, Positions, SurfaceData
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_formats.case import case_of
 from meshdeform_formats.case.tables import read_airfoil, read_beam, read_history, read_positions
@@ -33,6 +36,78 @@ def test_bodies_take_their_columns_by_name(tmp_path):
     path.write_text("t,qw,qx,qy,qz\n0,1,0,0,0\n1,0,.6,0.8,0\n")
     found = step_of(tmp_path, rigid={"file": "m.csv"})
     np.testing.assert_allclose(found.rotation.values, [[0, 0, 0, 1], [0.6, 0.8, 0, 0]], rtol=1e-14)
+
+
+FILES = {
+    "selig.dat": "name\n1 0\n.5 .2\n0 0\n.5 -.1\n1 .01\n", "backwards.dat": "1 .01\n.5 -.1\n0 0\n.5 .2\n1 0\n",
+    "lednicer.dat": "name\n3. 3.\n\n0 0\n.5 .2\n1 0\n\n0 0\n.5 -.1\n1 .01\n", "p1.dat": "7 1 2 3\n2 4 5 6\n",
+    "p2.dat": "7 3 2 1\n", "s1.csv": "0,0,0,1,0,0\n", "s2.csv": "0,0,0,2,0,0\n", "one.csv": "t,any\n0,1\n1,2\n",
+    "a.csv": "t,s2,q1\n0,1,2\n1,3,4\n",
+}  # fmt: skip
+
+
+def plain(value: Any) -> Any:
+    """Formulas as texts, arrays as lists, tables by what they hold, functions by two of their values."""
+    for kind, name in ((Expression, "text"), (SurfaceData, "displacement"), (History, "values")):
+        value = getattr(value, name) if isinstance(value, kind) else value
+    if isinstance(value, Positions):
+        return dict(zip(value.numbers.tolist(), value.positions.tolist(), strict=True))
+    if dataclasses.is_dataclass(value) and not isinstance(value, Matching):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, list | tuple) or callable(value):
+        return [plain(each) for each in (map(value, (0, 1)) if callable(value) else value)]
+    return getattr(value, "tolist", lambda: value)()
+
+
+FOIL = {"outline": [[1, 0], [0.5, 0.2], [0, 0], [0.5, -0.1], [1, 0.01]], "axes": [0, 1], "fitted": True}
+LATTICE = {"origin": [1, 2, 3], "edges": [[1, 0, 0], [0, 0, 2], [0, 1, 0]]}
+MOVES = [{"at": [2, "*", 1], "by": ["t", 0, "c"]}, {"at": [3, 4, 2], "by": [1, 2, 3]}]
+MOVED = [{"points": [[1, n, 0] for n in range(4)], "vector": ["t", "0.0", "c"]},
+         {"points": [[2, 3, 1]], "vector": ["1.0", "2.0", "3.0"]}]  # fmt: skip
+EXACT, FIRST = Matching("exact"), {7: [1, 2, 3], 2: [4, 5, 6]}
+SHAPES, TWO = {"files": ["s1.csv", "s2.csv"]}, [[[1, 0, 0]], [[2, 0, 0]]]
+BECOME = [
+    ({"rotate": {"angle": "c*t", "axis": [0, 1, 2], "center": [0, "c", 1]}},
+     {"angle": "c*t", "axis": [0, 1, 2], "center": ["0.0", "c", "1.0"]}),
+    ({"displace": ["x", "c", 1]}, {"vector": ["x", "c", "1.0"]}),
+    *(({"airfoil": {"file": f"{name}.dat"}}, FOIL) for name in ("selig", "backwards", "lednicer")),
+    ({"airfoil": {"file": "selig.dat", "plane": "zx", "fit": "none"}}, FOIL | {"axes": [2, 0], "fitted": False}),
+    # The edges are left-handed.
+    ({"ffd": LATTICE | {"points": [3, 4, 2], "move": MOVES}}, LATTICE | {"counts": [3, 4, 2], "moves": MOVED}),
+    ({"positions": {"file": "p1.dat"}}, {"times": [], "matching": EXACT, "data": FIRST}),
+    ({"positions": {"files": "p*.dat", "times": "1:2:1"}},
+     {"times": [1, 2], "matching": EXACT, "data": [FIRST, {7: [3, 2, 1]}]}),
+    ({"modes": SHAPES | {"amplitudes": ["c*t", 2]}},
+     {"shapes": TWO, "amplitudes": ["c*t", "2.0"], "matching": Matching("nearest")}),
+    ({"modes": SHAPES | {"amplitudes": {"file": "a.csv"}}, "match": "exact", "tolerance": 0.5},
+     {"shapes": TWO, "matching": Matching("exact", 0.5), "amplitudes": [[2, 1], [4, 3]]}),
+    ({"modes": {"files": "s1.*", "amplitudes": {"file": "one.csv"}}}, {"amplitudes": [[1], [2]]}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("motion", "expected"), BECOME)
+def test_what_motions_become(motion, expected, tmp_path):
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    found = plain(step_of(tmp_path, **motion))
+    assert {name: found[name] for name in expected} == expected
+
+
+@pytest.mark.parametrize("names", ["rx,ry,rz", "cx,cy,cz"])
+def test_a_beam_has_its_stations_at_every_time(names, tmp_path):
+    """Rows sorted by station, not by time; the first station turns about none, so that the others are as given."""
+    turns = np.array([[[0, 0, 0], [0.3, 0, 0]], [[0, 0, 0], [0.4, -0.5, 0.7]], [[0, 0, 0], [0, 0, 0]]])
+    moves = np.arange(18.0).reshape(3, 2, 3)
+    size = np.linalg.norm(turns, axis=2, keepdims=True)
+    given = np.degrees(turns) if names[0] == "r" else 4 * np.tan(size / 4) * turns / np.where(size > 0, size, 1)
+    rows = [[t, 0, 0, 2 * s, *moves[t, s], *given[t, s]] for s in (0, 1) for t in (2, 0, 1)]
+    np.savetxt(tmp_path / "b.csv", rows, "%.17g", delimiter=",", header=f"t,x,y,z,dx,dy,dz,{names}", comments="")
+    found = step_of(tmp_path, beam="b.csv")
+    np.testing.assert_array_equal(found.stations, [[0, 0, 0], [0, 0, 2]])
+    np.testing.assert_array_equal(found.first.translation.values, moves[:, 0])
+    seen = np.concatenate([moves - moves[:, :1], turns], axis=2).reshape(3, 12)
+    np.testing.assert_allclose(found.shape.values, seen, rtol=0, atol=1e-14)
+    assert (found.shape.times.tolist(), found.shape.timed) == ([0, 1, 2], True)
 
 
 READERS = {"history": read_history, "beam": read_beam, "positions": read_positions, "airfoil": read_airfoil}
@@ -68,18 +143,18 @@ def test_tables_are_checked(reader, text, message, tmp_path):
 
 
 BOX = {"origin": [0, 0, 0], "edges": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "points": [3, 4, 2]}
-MOVES = [{"at": [1, 1, 1], "by": [0, 0, 0]}]
+MOVE = [{"at": [1, 1, 1], "by": [0, 0, 0]}]
 ORDER = "order = '{}'; expected, only for angles rx ry rz in degrees"
 TURNED = "t,qx,qy,qz,qw\n0,0,0,0,1\n1,0,0,0,1.0009\n2,0,0,0,1.0011\n3,0,0,0,4\n"
 RIGID = {"file": "m.csv"}
 BAD_MOTIONS = [
     ({"rotate": {"angle": 1, "axis": [0, 0, 0]}}, "", "motion step 1: rotate: axis = [0, 0, 0] has no direction"),
-    *(({"ffd": BOX | {"move": MOVES} | change}, "", f"boundary 'boundary 1': motion{message}") for change, message in (
+    *(({"ffd": BOX | {"move": MOVE} | change}, "", f"boundary 'boundary 1': motion{message}") for change, message in (
         ({"edges": [[1, 0, 0], [2, 0, 0], [0, 0, 1]]}, " step 1: ffd: edges = [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]"),
         ({"points": [1, 2, 2]}, ".ffd.points = [1, 2, 2]; expected"), ({"move": []}, ".ffd.move = []; expected move"),
         ({"origin": [0, 0]}, ".ffd.origin = [0, 0]; expected three values: a corner of the box"),
     )),
-    *(({"ffd": BOX | {"move": [*MOVES, {"at": at, "by": [0, 0, 0]}]}}, "", f"move 2{message}") for at, message in (
+    *(({"ffd": BOX | {"move": [*MOVE, {"at": at, "by": [0, 0, 0]}]}}, "", f"move 2{message}") for at, message in (
         ([1, True, 1], ": at = [1, true, 1]; expected three values: numbers from 1"),
         ([4, 1, 1], ", at: found 4; expected a control point from 1 to 3"), ([1, 0, "*"], ", at: found 0; expected a "),
     )),
@@ -87,6 +162,7 @@ BAD_MOTIONS = [
     ({"rigid": RIGID}, "t,rx,ry,rz,qx,qy,qz,qw\n0,0,0,0,0,0,0,0\n", "has angles and quaternions; expected one"),
     ({"rigid": RIGID}, "t,rx,ry,rz\n0,0,0,0\n", ORDER.format("")),
     ({"rigid": RIGID}, "t,x,y\n0,0,0\n", "FILE has the columns x, y; expected all of x, y, z"),
+    ({"rigid": RIGID | {"order": "xYz"}}, "t,rx,ry,rz\n0,0,0,0\n", ORDER.format("xYz")),
     ({"rigid": RIGID | {"order": "xyz"}}, TURNED, ORDER.format("xyz")),
     *(({"rigid": RIGID}, TURNED.replace("1.0011", size), f"the quaternion at t = 2 has the length {size}; expected 1")
       for size in ("1.0011", "0.9989")),
