@@ -1,8 +1,12 @@
 """Levels on disk: velocities, what cell faces sweep, indices of ParaView; read back by h5py and VTK."""
 
+import dataclasses
+import hashlib
 import json
 import os
+import re
 import subprocess
+from importlib.metadata import version
 from pathlib import Path
 from unittest.mock import Mock
 from xml.etree import ElementTree
@@ -21,17 +25,18 @@ from vtkmodules.vtkIOXML import vtkXMLStructuredGridReader
 
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid
-from meshdeform_core.series import Schedule
+from meshdeform_core.series import REVISION, Schedule
 from meshdeform_core.velocity import face_fields, grid_velocity, swept_volumes
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.case.reader import read_case
+from meshdeform_formats.case import case_of
 from meshdeform_formats.files import partial_path, remove_partial, replacing
 from meshdeform_formats.grids import variant_of
 from meshdeform_formats.inputs import bytes_at, least_bytes, velocity_bytes
 from meshdeform_formats.series.manifest import Manifest, ingredients_of
-from meshdeform_formats.series.outputs import LevelFiles
+from meshdeform_formats.series.outputs import FoamFiles, LevelFiles
 
 TIMES = (0.0, 0.5, 2.0)
+MOVES = [{"at": [1, 1, 1], "by": [0, 0, "t"]}]
 
 
 def at(grid: Grid, time: float) -> Grid:
@@ -55,24 +60,42 @@ def written(grid: Grid, folder: Path, name: str, order="second", options=None):
     return files
 
 
-@pytest.mark.parametrize("changed", ["grid.xyz", "map.nmf", "other.nmf", "table.csv"])
-def test_a_series_depends_on_the_contents_of_all_files(changed, tmp_path):
-    """The grid, the boundary file of the case or the one given instead, and tables of motions."""
-    motion = '[[boundary]]\nselect = ["*"]\nmotion = [{ file = "table.csv" }]\n'
-    (tmp_path / "case.toml").write_text(f'[grid]\nboundary_file = "map.nmf"\n{motion}')
-    for name in ("grid.xyz", "map.nmf", "other.nmf", "table.csv"):
+def test_all_that_a_series_depends_on_by_name(tmp_path):
+    """Options of the method and of repairs that are not given, too; lists of tables and of lists by number."""
+    for name in ("g.xyz", "a.csv", "m.nmf"):
         (tmp_path / name).write_text("0,0,0,0,0,0\n")
-
-    def ingredients():
-        given = tmp_path / changed if changed == "other.nmf" else None
-        return ingredients_of(tmp_path / "grid.xyz", given, read_case(tmp_path / "case.toml"), Schedule(TIMES), {})
-
-    Manifest(tmp_path / "series.json", ingredients()).save()
+    lattice = {"origin": [0, 0, 0], "edges": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "points": [2, 2, 2]}
+    content = {
+        "boundary": [{"motion": {"file": "a.csv"}}, {"name": "b", "motion": [{"ffd": lattice | {"move": MOVES}}]}],
+        "method": {"name": "rbf", "idw": {"alpha": 0.5}}, "repair": {"mode": "off"}, "grid": {"tolerance": 0.01},
+    }  # fmt: skip
+    case = case_of(content, tmp_path)
+    schedule = Schedule((0.0, 1.0), "first", 3)
+    found = ingredients_of(tmp_path / "g.xyz", tmp_path / "m.nmf", case, schedule, {"suffix": ".vts"})
+    same = hashlib.sha256(b"0,0,0,0,0,0\n").hexdigest()
+    options = {f"method.rbf.{key}": value for key, value in dataclasses.asdict(case.case.method.rbf).items()}
+    options |= {f"repair.{key}": value for key, value in dataclasses.asdict(case.case.repair).items()}
+    ffd = "case boundary.2.motion.1.ffd"
+    assert found == {
+        "program": f"meshdeform {version('meshdeform')}", "algorithms": REVISION, "grid": same,
+        **{f"file {tmp_path / name}": same for name in ("m.nmf", "a.csv")}, "case boundary.1.motion.file": "a.csv",
+        "case boundary.2.name": "b",
+        f"{ffd}.origin": [0, 0, 0], **{f"{ffd}.edges.{n + 1}": row for n, row in enumerate(lattice["edges"])},
+        f"{ffd}.points": [2, 2, 2], f"{ffd}.move.1.at": [1, 1, 1], f"{ffd}.move.1.by": [0, 0, "t"],
+        "case grid.tolerance": 0.01, "method.name": "rbf", "tolerance": 0.01, "times": (0.0, 1.0), "velocity": "first",
+        "steps": 3, "suffix": ".vts", **{key: "inf" if value == np.inf else value for key, value in options.items()},
+    }  # fmt: skip
+    Manifest(tmp_path / "series.json", found).save()
     begun = Manifest.load(tmp_path / "series.json")
-    begun.require_same(ingredients())
-    (tmp_path / changed).write_text("0,0,0,0,0,1\n")
-    with pytest.raises(CaseError, match=rf"(file .*{changed}|grid) has different contents\. Undo"):
-        begun.require_same(ingredients())
+    begun.require_same(found)
+    changed = {key: value for key, value in found.items() if key != "suffix"}
+    changed |= {"times": tuple(np.arange(6.0)), "new": [1] * 4, "grid": "0", f"file {tmp_path / 'a.csv'}": "0"}
+    with pytest.raises(CaseError) as error:
+        begun.require_same(changed)
+    assert re.sub(r"file \S*/", "file ", str(error.value)).endswith(
+        "grid has different contents; file a.csv has different contents; times was [0.0, 1.0], is 6 values from 0.0 to "
+        "5.0; suffix was removed (was '.vts'); new is new ([1, 1, 1, 1]). Undo that, write to another folder, or "
+        "restart it (--force)")  # fmt: skip
 
 
 def test_fields_join_a_copy_beside_what_it_holds(tmp_path):
@@ -144,6 +167,34 @@ def test_vtk_reads_a_plot3d_series_through_its_index(make, options, stored, tmp_
             np.testing.assert_allclose(points, at(grid, time).block(block), rtol=0, atol=1e-6)
 
 
+def test_names_and_room_of_levels(tmp_path):
+    """Levels that are replaced leave room, but one has to be complete before it replaces another."""
+    files = LevelFiles(one_block(), tmp_path, "w.vts", TIMES, {}, "none")
+    size = 24 * files.grid.n_nodes
+    assert [files.least_bytes(first) for first in range(4)] == [3 * size, 2 * size, size, 0]
+    written(one_block(), tmp_path, "w.vts", "none")
+    assert [files.least_bytes(first) for first in range(4)] == [size, size, size, 0]
+    swept = LevelFiles(one_block(), tmp_path, "v.vts", TIMES, {}, "swept")
+    assert swept.least_bytes(2) == 2 * size + 3 * 16 * files.grid.n_cells
+    for count, name in ((10000, "w_0007.vts"), (10001, "w_00007.vts")):
+        assert LevelFiles(one_block(), tmp_path, "w.vts", (0.0,) * count, {}, "none").names(7)[0].name == name
+
+
+def test_levels_of_openfoam_are_folders_of_their_times(tmp_path):
+    """An invalid level is no time; when it is written anew as a valid one, it is gone."""
+    times = (0.0, 1.0000001, 1.0000002)
+    files = FoamFiles(frame(), tmp_path / "case", "a.foam", times, {}, "none")
+    assert [files.names(n)[0].name for n in range(3)] == ["0", "1.0000001", "1.0000002"]
+    for record, invalid in (("1.0000001.invalid", True), ("1.0000001", False)):
+        files.recall([{"file": "0"}, {"file": record}])
+        files.write(1, at(frame(), 1.0), None)
+        assert [path.exists() for path in files.names(1)] == [not invalid, invalid]
+        assert [files.has(n) for n in range(3)] == [False, True, False]
+    np.testing.assert_array_equal(files.read(1), at(frame(), 1.0).points)
+    with pytest.raises(FormatError, match="omit --velocity"):
+        FoamFiles(frame(), tmp_path / "case", "a.foam", times, {}, "first")
+
+
 NODES, PLANE, BLOCK = 1152, 392, 100
 VARIANTS = {
     "c.p3dbin": ({"encoding": "binary"}, 24 * NODES), "plane.p2dbin": ({}, 16 * PLANE), "grid.vts": ({}, 24 * BLOCK),
@@ -178,9 +229,13 @@ def test_what_another_program_is_writing_stays(clean, tmp_path, monkeypatch):
         theirs, gone = (
             partial.with_name(partial.name.replace(f".{os.getpid()}-", f".{n}-")) for n in (other.pid, 2**22)
         )
-        for path in (theirs, gone):
+        name = gone.name.split("-")
+        elsewhere = gone.with_name(f"{name[0]}-{'0' if name[1][0] > '0' else '1'}{name[1][1:]}")
+        for path in (theirs, gone, elsewhere):
             path.write_text("x")
         clean(tmp_path)
+        # Whether the process of another machine runs is unknown.
+        assert elsewhere.exists() == (clean is not remove_partial)
         assert (partial.exists(), theirs.exists(), gone.exists()) == (True, True, False)
         other.kill()
         other.wait()
