@@ -116,3 +116,21 @@ def test_thin_grids_are_no_lines(tmp_path):
     points = np.random.default_rng(0).random((3, 4, 2, 3)) * [1.0, 1e-9, 0] + [0, 1e-3, 7.0]
     write_grid(Grid.from_blocks([points]), tmp_path / "a.cgns")
     np.testing.assert_array_equal(read_grid(tmp_path / "a.cgns").block(0), points)
+
+
+FOREIGN = {
+    b"$MeshFormat\n": "a Gmsh mesh (unstructured)", b"NDIME= 2\n": "an SU2 mesh (unstructured)",
+    b"#!TDV112": "a Tecplot binary file", b"CDF\x01": "a netCDF file", b"CDF\x02": "a netCDF file",
+    b"solid a\n": "an STL surface", b"ISO-10303-21;": "a STEP geometry", b"\x93NUMPY\x01": "a numpy array",
+    b"\x89PNG\r\n\x1a\n": "a PNG picture", b"%PDF-1.4": "a PDF document",
+    b"PK\x03\x04": "a zip or npz archive; unpack it first", b"\x1f\x8b": "a gzip archive; unpack it first",
+    b"BZh9": "a bzip2 archive; unpack it first",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("begin", FOREIGN)
+def test_files_of_other_programs_are_named(tmp_path, begin):
+    (tmp_path / "a.xyz").write_bytes(begin + bytes(99))
+    with pytest.raises(FormatError) as error:
+        read_grid(tmp_path / "a.xyz")
+    assert str(error.value).startswith(f"{tmp_path / 'a.xyz'} is {FOREIGN[begin]}, not a block-structured grid (")

@@ -217,6 +217,7 @@ LEGACY = {
     "# vtk DataFile Version 3.0\ntitle\nTEXT\n": "line 3: expected ASCII or BINARY, found 'TEXT'",
     "# vtk DataFile Version 3.0\ntitle\nASCII\nPOINTS 3 float\n": "line 4: expected 'DATASET kind', found 'POINTS 3",
     header("POLYDATA"): "is a polygon surface (DATASET POLYDATA); expected a structured grid",
+    header("UNSTRUCTURED_GRID"): "is an unstructured grid (DATASET UNSTRUCTURED_GRID); expected a structured grid",
     header(rest=""): "has no DIMENSIONS",
     header(rest="DIMENSIONS 2 2 1\n"): "has no POINTS",
     header(rest="DIMENSIONS 3.7 2 1\n"): "expected 3 whole numbers",
