@@ -62,12 +62,13 @@ def written(grid: Grid, folder: Path, name: str, order="second", options=None):
 
 def test_all_that_a_series_depends_on_by_name(tmp_path):
     """Options of the method and of repairs that are not given, too; lists of tables and of lists by number."""
-    for name in ("g.xyz", "a.csv", "m.nmf"):
+    for name in ("g.xyz", "a.csv", "m.nmf", "n.nmf"):
         (tmp_path / name).write_text("0,0,0,0,0,0\n")
     lattice = {"origin": [0, 0, 0], "edges": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "points": [2, 2, 2]}
     content = {
         "boundary": [{"motion": {"file": "a.csv"}}, {"name": "b", "motion": [{"ffd": lattice | {"move": MOVES}}]}],
-        "method": {"name": "rbf", "idw": {"alpha": 0.5}}, "repair": {"mode": "off"}, "grid": {"tolerance": 0.01},
+        "method": {"name": "rbf", "idw": {"alpha": 0.5}}, "repair": {"mode": "off"},
+        "grid": {"tolerance": 0.01, "boundary_file": "n.nmf"},
     }  # fmt: skip
     case = case_of(content, tmp_path)
     schedule = Schedule((0.0, 1.0), "first", 3)
@@ -78,11 +79,11 @@ def test_all_that_a_series_depends_on_by_name(tmp_path):
     ffd = "case boundary.2.motion.1.ffd"
     assert found == {
         "program": f"meshdeform {version('meshdeform')}", "algorithms": REVISION, "grid": same,
-        **{f"file {tmp_path / name}": same for name in ("m.nmf", "a.csv")}, "case boundary.1.motion.file": "a.csv",
-        "case boundary.2.name": "b",
+        **{f"file {tmp_path / name}": same for name in ("m.nmf", "n.nmf", "a.csv")},
+        "case boundary.1.motion.file": "a.csv", "case boundary.2.name": "b", "case grid.boundary_file": "n.nmf", "case grid.tolerance": 0.01,
         f"{ffd}.origin": [0, 0, 0], **{f"{ffd}.edges.{n + 1}": row for n, row in enumerate(lattice["edges"])},
         f"{ffd}.points": [2, 2, 2], f"{ffd}.move.1.at": [1, 1, 1], f"{ffd}.move.1.by": [0, 0, "t"],
-        "case grid.tolerance": 0.01, "method.name": "rbf", "tolerance": 0.01, "times": (0.0, 1.0), "velocity": "first",
+        "method.name": "rbf", "tolerance": 0.01, "times": (0.0, 1.0), "velocity": "first",
         "steps": 3, "suffix": ".vts", **{key: "inf" if value == np.inf else value for key, value in options.items()},
     }  # fmt: skip
     Manifest(tmp_path / "series.json", found).save()
