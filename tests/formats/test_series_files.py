@@ -80,9 +80,10 @@ def test_all_that_a_series_depends_on_by_name(tmp_path):
     assert found == {
         "program": f"meshdeform {version('meshdeform')}", "algorithms": REVISION, "grid": same,
         **{f"file {tmp_path / name}": same for name in ("m.nmf", "n.nmf", "a.csv")},
-        "case boundary.1.motion.file": "a.csv", "case boundary.2.name": "b", "case grid.boundary_file": "n.nmf", "case grid.tolerance": 0.01,
+        "case boundary.2.name": "b", "case grid.boundary_file": "n.nmf", "case grid.tolerance": 0.01,
         f"{ffd}.origin": [0, 0, 0], **{f"{ffd}.edges.{n + 1}": row for n, row in enumerate(lattice["edges"])},
         f"{ffd}.points": [2, 2, 2], f"{ffd}.move.1.at": [1, 1, 1], f"{ffd}.move.1.by": [0, 0, "t"],
+        "case boundary.1.motion.file": "a.csv",
         "method.name": "rbf", "tolerance": 0.01, "times": (0.0, 1.0), "velocity": "first",
         "steps": 3, "suffix": ".vts", **{key: "inf" if value == np.inf else value for key, value in options.items()},
     }  # fmt: skip
