@@ -20,6 +20,7 @@ from meshdeform_core.parallel import sharing
 # With weights computed anew in every part of a rotation there is no exact derivative.
 METHODS = ALL_METHODS | {
     "idw-alpha": Options("idw", idw=IDW(alpha="auto", eta=4.0)),
+    "idw-alpha-capped": Options("idw", idw=IDW(alpha="auto", eta=40.0)),
     "idw-alpha-none": Options("idw", idw=IDW(rotation="none", alpha="auto", eta=4.0)),
     "idw-smoothed": Options("idw", idw=IDW(rotation="blend", smoothing=3)),
     "idw-two-exponents": Options("idw", idw=IDW(weights="shepard", p_moving=4.0)),

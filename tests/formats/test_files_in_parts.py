@@ -262,7 +262,7 @@ def test_ranks_on_several_machines_write_levels_synchronously(tmp_path, monkeypa
     opened, begin = [], os.open
 
     def recorded(path, flags, *args, **kwargs):
-        if "out" in path.name and flags & os.O_WRONLY:
+        if "out" in os.path.basename(path) and flags & os.O_WRONLY:
             opened.append(bool(flags & os.O_DSYNC))
         return begin(path, flags, *args, **kwargs)
 
