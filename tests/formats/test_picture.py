@@ -13,6 +13,7 @@ from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
+from meshdeform_core.quality.fields import CELL_MEASURES
 from meshdeform_formats.picture import overview, scene
 from meshdeform_formats.picture.page import INVALID_COLOUR, Page, Panel, Scale, page_bytes
 from meshdeform_formats.picture.raster import render
@@ -92,6 +93,19 @@ def test_a_small_body_has_a_close_up():
     whole, near = overview.overview(subject(load("airfoil").generate(41)), Scale()).panels[:2]
     assert near.window.width < 2.5 < whole.window.width
     assert (whole.title, near.title, near.aspect) == ("whole grid", "close-up", pytest.approx(0.5))
+
+
+@pytest.mark.parametrize("metric", CELL_MEASURES)
+def test_the_worst_cell_of_each_measure(metric):
+    """Smallest, largest or farthest from one, as its definition says, of a grid and of its mirror image."""
+    grid = frame(2, 2)
+    wave = 0.03 * np.sin(grid.points @ [[2.0, 1.0, 0.5], [1.0, -2.0, 0.0], [0.0, 1.0, -1.0]])
+    badness = {"small": lambda v: v, "large": lambda v: -v, "far": lambda v: -np.abs(np.log(v))}
+    for points in (grid.points + wave, grid.points - wave):
+        s = subject(grid.moved(points), grid)
+        block, cell = worst_cell(s, metric)
+        found = [badness[CELL_MEASURES[metric].worst](s.values(metric, b, s.whole(b))) for b in range(8)]
+        assert found[block][cell] == np.nanmin(np.concatenate([values.ravel() for values in found]))
 
 
 WRONG = {

@@ -65,13 +65,6 @@ def test_spellings_of_the_same_numbers(tmp_path, header, values):
     assert read_one_block(tmp_path, header, values) == VALUES
 
 
-def test_repeat_counts_over_several_block_sizes(tmp_path):
-    text = "3\n9*2\n" + "8*0.0 8*1.0 8*2.0 " + "24*3.5 8*-1 16*4\n"
-    grid = plot3d.read(put(tmp_path, text))
-    assert grid.shapes == ((2, 2, 2),) * 3
-    assert [grid.block(b).reshape(8, 3)[5].tolist() for b in range(3)] == [[0, 1, 2], [3.5, 3.5, 3.5], [-1, 4, 4]]
-
-
 @pytest.mark.parametrize("piece", [1, 7, 64, 1000])
 def test_numbers_survive_any_cut_of_the_text(tmp_path, monkeypatch, piece):
     monkeypatch.setattr(plot3d_ascii, "_PIECE", piece)

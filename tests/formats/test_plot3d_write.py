@@ -31,20 +31,16 @@ def test_float64_text_is_exact(tmp_path):
     assert np.array_equal(plot3d.read(tmp_path / "a.fmt").block(0), block)
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("a.fmt", {"encoding": "ascii", "dimension": 3}),
-        ("a.P2DFMT", {"encoding": "ascii", "dimension": 2}),
-        ("a.p2d", {"encoding": "fortran", "dimension": 2, "byte_order": "little", "markers": 4, "records": "block"}),
-        ("a.xyz", {"encoding": "fortran", "dimension": 3, "byte_order": "little", "markers": 4, "records": "block"}),
-        ("a.bin", {"encoding": "fortran", "dimension": 3, "byte_order": "little", "markers": 4, "records": "block"}),
-    ],
-)
-def test_the_suffix_decides_for_grids_from_elsewhere(name, expected):
+TEXT = {"encoding": "ascii"}
+FORTRAN = {"encoding": "fortran", "byte_order": "little", "markers": 4, "records": "block"}
+SUFFIXES = {".fmt": (TEXT, 3), ".P2DFMT": (TEXT, 2), ".p2d": (FORTRAN, 2), ".xyz": (FORTRAN, 3), ".bin": (FORTRAN, 3)}
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_suffix_decides_for_grids_from_elsewhere(suffix):
     grid = make_grid(sample_blocks([(3, 4, 1)]), format=FileFormat("cgns", "float32"))
-    chosen = plot3d.variant(grid, Path(name), {})
-    assert chosen.options == {**expected, "multiblock": True, "iblank": False}
+    chosen, (expected, dimension) = plot3d.variant(grid, Path(f"a{suffix}"), {}), SUFFIXES[suffix]
+    assert chosen.options == expected | {"dimension": dimension, "multiblock": True, "iblank": False}
     assert chosen.precision == "float64"
 
 
