@@ -117,7 +117,7 @@ def ingredients_of(
     tables = {part: getattr(method, part) for part in ("idw", "rbf", "tfi") if type(getattr(method, part)) in used}
     options = {"method": {part: dataclasses.asdict(table) for part, table in tables.items()}}
     resolved = _flattened(options | {"repair": dataclasses.asdict(case.case.repair)}, "")
-    files = [path for path in (boundary_file or case.boundary_file, *case.files) if path is not None]
+    files = (*case.files, *([boundary_file] if boundary_file else []))
     return {
         "program": f"meshdeform {version('meshdeform')}",
         "algorithms": REVISION,
