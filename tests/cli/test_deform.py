@@ -40,13 +40,6 @@ def test_verbose_tells_the_stages_on_stderr(bench, call):
     assert stages == ["read", "topology", "prepare", "apply", "quality", "write", "other", "total"]
 
 
-def test_dry_run_writes_nothing(bench, call, snapshot):
-    before = snapshot(bench)
-    result = call(*RUN[:-2], "--dry-run", "--report", "out.json")
-    assert (result.code, "nothing written" in result.out) == (0, True)
-    assert snapshot(bench) == before
-
-
 def test_threads_are_those_of_our_loops(bench, call, monkeypatch):
     from meshdeform_core.parallel import loops as parallel
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import jsonschema
 import numpy as np
-import pytest
 from PIL import Image
 
 from meshdeform_formats.case.reader import case_schema
@@ -43,15 +42,6 @@ def test_a_run_can_be_repeated_from_its_report_and_its_page_shows_something(benc
     again = Path("out.invalid.xyz").read_bytes()
     assert (words[0], call(*words[1:], "--force").code) == ("meshdeform", 3)
     assert Path("out.invalid.xyz").read_bytes() == again
-
-
-def test_seconds_of_a_resumed_series_add_up(bench, call):
-    assert call(*SERIES, "--report", "a.json").code == 0
-    levels = json.loads(Path("levels/series.json").read_text())["levels"]
-    assert call(*SERIES, "--resume", "--report", "b.json").code == 0
-    timing = json.loads(Path("b.json").read_text())["timing"]
-    assert timing["apply"] == pytest.approx(sum(level["timing"]["apply"] for level in levels))
-    assert timing.pop("total") == pytest.approx(sum(timing.values()))
 
 
 def test_json_goes_to_stdout_alone(bench, call):

@@ -109,12 +109,6 @@ def test_three_arrays_or_three_planes_must_be_chosen(tmp_path):
         check(plot3d.read(path, records=records), blocks)
 
 
-def test_options_force_a_reading(tmp_path):
-    blocks = sample_blocks(SHAPES_3D)
-    path = put(tmp_path, binary_file(blocks, encoding="fortran", byte_order="big"))
-    check(plot3d.read(path, encoding="fortran", byte_order="big", markers="4", multiblock="true", dimension=3), blocks)
-
-
 BLOCKS = sample_blocks([(3, 4, 5), (2, 3, 4)])
 FORTRAN = binary_file(BLOCKS, encoding="fortran", byte_order="big")
 STREAM = binary_file(BLOCKS, encoding="binary")
@@ -207,7 +201,7 @@ def test_the_line_is_right_behind_many_pieces(tmp_path, monkeypatch):
         ({"encodin": "ascii"}, r"Plot3D: unknown option 'encodin'; did you mean 'encoding'\?; known are: encoding by"),
         ({"byte_order": "bigg"}, r"unknown byte_order = 'bigg'; did you mean 'big'\?; known are: little big"),
         ({"markers": 5}, "unknown markers = '5'"),
-        ({"encoding": "ascii"}, r"with encoding=ascii; without these options it is big-endian Fortran"),
+        ({"encoding": "ascii", "dimension": 3}, r"with encoding=ascii with dimension=3; without these options it is b"),
     ],
 )
 def test_options_that_cannot_be(tmp_path: Path, options, message):

@@ -12,7 +12,9 @@ import pytest
 from matplotlib.figure import Figure as Drawing
 
 from meshdeform_core.errors import FormatError
+from meshdeform_core.series import Schedule
 from meshdeform_formats.report import page
+from meshdeform_formats.report.records import series_report, with_other
 from meshdeform_formats.report.tables import Figure, measures_table, repair_lines, shape_table
 from meshdeform_formats.report.write import as_text, write_report
 
@@ -235,6 +237,26 @@ REPAIRED = [
 @pytest.mark.parametrize(("report", "lines"), REPAIRED)
 def test_repairs_in_words(report, lines):
     assert repair_lines(report) == lines
+
+
+def test_a_report_of_a_series_is_over_all_levels():
+    """The stages of a level that no other has, too; warnings with the number of their level."""
+    parts = [(0.5, True, [], {"apply": 1.0, "total": 1.5}), (2.0, False, ["odd"], {"apply": 2.0, "repair": 4.0}),
+             (1.0, True, ["a", "b"], {"write": 8.0})]  # fmt: skip
+    levels = [dict(zip(("number", "max_displacement", "valid", "warnings", "timing"), (n, *part), strict=True))
+              for n, part in enumerate(parts)]  # fmt: skip
+    head, places = {"boundary": {"fixed_nodes": 3}, "warnings": ["first"]}, {"folder": "out", "view": None}
+    schedule = Schedule((0.0, 1.0, 2.0), "first")
+    assert series_report(head, levels, schedule, places, {"read": 16.0}, 7) == {
+        "boundary": {"fixed_nodes": 3, "max_displacement": 2.0}, "levels": levels, "valid": False,
+        "series": {"levels": 3, "velocity": "first", **places}, "peak_memory_bytes": 7,
+        "timing": {"read": 16.0, "apply": 3.0, "repair": 4.0, "write": 8.0},
+        "warnings": ["first", "level 1: odd", "level 2: a", "level 2: b"],
+    }  # fmt: skip
+    still = series_report(head, [levels[0] | {"max_displacement": 0.0}], schedule, places, {}, 7)
+    assert (still["valid"], still["warnings"][1:]) == (True, ["nothing moves: the displacement is zero at all levels"])
+    assert with_other({"a": 2.0, "other": 1.0, "total": 9.0}, 5.0) == {"a": 2.0, "other": 3.0, "total": 5.0}
+    assert with_other({"a": 2.0}, 1.5) == {"a": 2.0, "other": 0.0, "total": 2.0}
 
 
 def test_the_suffix_says_the_form(tmp_path):
