@@ -47,7 +47,6 @@ CALLS = {
     "variant-of-cgns": (
         ("convert", "grid.xyz", "out.cgns", "--variant", "encoding=hex"), ("unknown option 'encoding'",),
     ),
-    "read-as-key": (("info", "grid.xyz", "--read-as", "endian=big"), ("'endian'", "byte_order")),
     "read-as-wrong": (("info", "grid.xyz", "--read-as", "byte_order=big"), ("grid.xyz", "big")),
     "match-without-table": ((*DEFORM, "--match", "exact"), ("belong to --displacement",)),
     # output names

@@ -188,7 +188,10 @@ def test_a_series_as_text_and_as_a_page():
     for words in ('href="a%20b/out%202.cgns"', "1 of 3 levels are not valid.",
                   "level 3 (t = 0.37037): only 50.0% of the motion imposed"):  # fmt: skip
         assert words in text
+    assert text.count("<tr class=flagged>") == 1
     assert "All 2 levels are valid." in page.as_html(SERIES | {"levels": [level(1), level(2)]})
+    bad = re.sub("<[^>]*>", "\n", page.as_html(SERIES | {"levels": [level(n, valid=False) for n in range(14)]}))
+    assert re.search("level 11 .t = 1.35802.: 206 cells became invalid\\s+and 2 more\\s+What to do:", bad)
 
 
 def test_charts_show_their_data(monkeypatch):
@@ -216,9 +219,11 @@ def test_charts_show_their_data(monkeypatch):
 SOUND = {"invalid_cells": 0, "min_scaled_jacobian": 0.75, "f_skew": {"min": 0.5},
          "wall_normal_deviation_deg": {"rms": 2.0}}  # fmt: skip
 MOVED = "1 node moved by up to 0.5, 3 Newton steps"
+WEAK = "weak: sheared by more than 45 degrees, or twice or half as long in one direction"
 REPAIRED = [
     ({"repair": None}, []),
     ({"repair": None, "new_interior": None, "valid": False}, []),
+    ({"repair": REPAIR | {"invalid": 0, "weak": 1}}, ["1 weak cell repaired, " + MOVED, WEAK]),
     ({"repair": None, "new_interior": None, "valid": True}, ["no cell is invalid or weak: nothing to repair"]),
     ({"repair": REPAIR | {"left_out": "too large"}}, ["not repaired: too large"]),
     (
@@ -227,7 +232,7 @@ REPAIRED = [
         ["2 invalid and 10 weak cells repaired, 1 node moved by up to 0.5 (0.25 of the largest displacement), 3 Newton "
          "steps", "the method alone -> repaired: smallest scaled Jacobian -0.25 -> 0.75, smallest f_skew 0.5 -> 0.25, "
          "angle at walls 2 -> 2 degrees rms, invalid cells 2 -> 0",
-         "weak: sheared by more than 45 degrees, or twice or half as long in one direction"],
+         WEAK],
     ),
     ({"repair": REPAIR | {"weak": 0}, "quality": {"after": SOUND | {"invalid_cells": 1000}}},
      [f"not repaired: 1,000 cells of 2 invalid cells stay invalid, {MOVED}"]),
