@@ -134,14 +134,16 @@ def test_connections_of_both_blocks_and_periodic_ones_are_written(tmp_path):
     there = Connection("a", 0, (2, 0, 0), (2, 3, 4), 1, (0, 0, 0), (0, 3, 4), (1, 2, 3))
     back = Connection("b", 1, (0, 3, 0), (0, 0, 4), 0, (2, 3, 0), (2, 0, 4), (1, 2, 3))
     around = Connection("c", 0, (0, 0, 0), (0, 3, 4), 1, (1, 0, 0), (1, 3, 4), (1, 2, 3), Periodicity())
-    walls = [whole_face((3, 4, 5), 0, side) for side in (Side.KMIN, Side.KMAX)]
-    grid = Grid.from_blocks(blocks, connections=(there, back, around), patches=(Patch("a 'b'\t#\\", tuple(walls)),))
+    walls = [whole_face((3, 4, 5), 0, side) for side in (Side.KMIN, Side.KMAX, Side.JMIN)]
+    names = ("a 'b'\t#\\",), ("w1", "wing"), ("w2", "wing", "wall")
+    patches = tuple(Patch(name, (wall,), *types) for (name, *types), wall in zip(names, walls, strict=True))
+    grid = Grid.from_blocks(blocks, connections=(there, back, around), patches=patches)
     write_neutral_map(grid, tmp_path / "out.nmf")
     read = read_neutral_map(tmp_path / "out.nmf", Grid.from_blocks(blocks))
     assert [(c.block, c.begin, c.transform) for c in read.connections] == [(0, (2, 0, 0), (1, 2, 3))]
     ends = whole_face((3, 4, 5), 0, Side.IMIN), whole_face((2, 4, 5), 1, Side.IMAX)
     assert [patch.windows for patch in read.patches] == [(window,) for window in (*walls, *ends)]
-    assert [patch.bc_type for patch in read.patches] == ["a_b_", "a_b_", "periodic", "periodic"]
+    assert [patch.bc_type for patch in read.patches] == ["a_b_", "wing", "wall", "periodic", "periodic"]
 
 
 BAD = {

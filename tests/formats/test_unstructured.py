@@ -178,6 +178,14 @@ def test_su2_has_a_marker_per_family_and_side_of_a_pair(tmp_path):
     np.testing.assert_allclose(one + [0, 1, 0], two, atol=1e-15)
 
 
+def test_a_family_keeps_its_other_faces_beside_periodic_ones(tmp_path):
+    grid = with_families()
+    skin = Patch("w0", (*grid.patches[0].windows, whole_face(grid.shapes[0], 0, Side.JMIN)), "skin")
+    export(dataclasses.replace(grid, patches=(skin, *grid.patches[1:])), tmp_path / "a.su2")
+    found = {name: len(rows) for name, rows in su2_markers(tmp_path / "a.su2").items()}
+    assert found == FAMILIES | {"periodic1": 6, "left.jmax": 6, "right.jmin": 12, "right.jmax": 12}
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
 def test_gmsh_groups(encoding, tmp_path):
     mesh = export(with_families(), tmp_path / "a.msh", encoding=encoding)
