@@ -19,7 +19,6 @@ from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of
-from meshdeform_formats.case.tables import read_airfoil
 
 
 def box_nodes() -> BoundaryNodes:
@@ -329,18 +328,6 @@ def test_an_airfoil_of_its_own_shape_is_not_turned(n, tmp_path):
     case = case_of({"boundary": [{"motion": write_selig(tmp_path / "b.dat", turned)}]}, tmp_path).case
     (note,) = case.boundaries[0].motion.prepare(nodes).notes
     assert "b.dat is turned by -3" in note
-
-
-def test_lednicer_and_selig_are_the_same(tmp_path):
-    outline = naca(0.12, 0.02, 11)
-    upper, lower = outline[:11][::-1], outline[10:]
-    write_selig(tmp_path / "s.dat", outline)
-    rows = "\n".join(" ".join(map(repr, p)) for p in np.concatenate([upper, lower]).tolist())
-    (tmp_path / "l.dat").write_text(f"name 12\n 11. 11.\n\n{rows}\n")
-    np.testing.assert_array_equal(read_airfoil(tmp_path / "l.dat"), read_airfoil(tmp_path / "s.dat"))
-    np.testing.assert_array_equal(read_airfoil(tmp_path / "s.dat"), outline)
-    write_selig(tmp_path / "r.dat", outline[::-1])
-    np.testing.assert_array_equal(read_airfoil(tmp_path / "r.dat"), outline)
 
 
 def test_what_cannot_be_matched_is_refused(tmp_path):
