@@ -95,15 +95,8 @@ def test_a_table_is_put_on_its_page_row_by_row(study, tmp_path):
 @pytest.mark.parametrize("section", ["passes", "levels"])
 def test_small_sizes_run(section, tmp_path):
     # All programs are imported by the one that runs them.
-    command = [
-        sys.executable,
-        FOLDER.with_name("benchmarks") / "run.py",
-        "--quick",
-        "--only",
-        section,
-        "--json",
-        tmp_path / "x.json",
-    ]
+    program = FOLDER.with_name("benchmarks") / "run.py"
+    command = [sys.executable, program, "--quick", "--only", section, "--json", tmp_path / "x.json"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     assert "| hemisphere" in result.stdout

@@ -224,6 +224,7 @@ STRANGE = {
 def test_a_size_that_fits_by_accident_is_not_enough(tmp_path, name):
     path = tmp_path / "cut.xyz"
     path.write_bytes(STRANGE[name])
-    with pytest.raises(FormatError, match=r"the size of .* 2-D .*blocks? \(40x30.*\), but \d+% of the numbers would"):
-        plot3d.read(path)
+    for options in ({}, {"dimension": "2"}):
+        with pytest.raises(FormatError, match=r"size of .* 2-D .*blocks? \(40x30.*\), but \d+% of the numbers would"):
+            plot3d.read(path, **options)
     assert plot3d.read(path, encoding="binary").shapes[0] == (40, 30, 1)
