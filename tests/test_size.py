@@ -31,7 +31,7 @@ BUDGETS = {
     "meshdeform_core/quality": 1744,
     "meshdeform_core/repair": 2101,
     "meshdeform_core": 2454,
-    "tests": 23987,
+    "tests": 23981,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500
